@@ -1,0 +1,72 @@
+"""Camera samples at fixed positions: pixel centres, or a regular grid in each pixel."""
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+
+class CameraSamples:
+    """The samples of one rendering, numbered pixel by pixel.
+
+    `spp` = 1 is the centre of each pixel, `spp` = n^2 the centres of an n x n grid; any other number
+    is left to the film's sampler, as are wavelengths, lens and shutter where the camera has them.
+    """
+
+    def __init__(self, sensor, seed: int, spp: int):
+        self.sensor = sensor
+        self.film = sensor.film()
+        self.jit = dr.is_jit_v(mi.Float)
+        self.moves = sensor.shutter_open_time() > 0
+        self.has_lens = sensor.needs_aperture_sample()
+
+        sampler = sensor.sampler().clone()
+        spp = spp or sampler.sample_count()
+        n = math.isqrt(spp)
+        self.grid = n if n * n == spp else None
+        if self.grid is None:
+            sampler.set_sample_count(spp)
+            spp = sampler.sample_count()
+        self.spp = spp
+
+        self.border = self.film.rfilter().border_size() if self.film.sample_border() else 0
+        width, height = (int(side) + 2 * self.border for side in self.film.crop_size())
+        self.width, self.count = width, width * height * spp
+        if self.count > 2**32:
+            raise ValueError(
+                f"whitted: {width} x {height} pixels of {spp} samples are more than 2^32; "
+                "render with fewer samples per pixel, in several passes"
+            )
+        self.sampler = None
+        if self.grid is None or mi.is_spectral or self.moves or self.has_lens:
+            sampler.set_samples_per_wavefront(spp if self.jit else 1)
+            sampler.seed(seed, self.count if self.jit else 1)
+            self.sampler = sampler
+
+    def rays(self, index):
+        """(rays, weights, positions on the film in pixels) of the samples `index`."""
+        pixel = index // self.spp
+        y = pixel // self.width
+        offset = mi.Vector2f(self.film.crop_offset())
+        corner = mi.Point2f(pixel - y * self.width, y) + (offset - self.border)
+        if self.grid is None:
+            inside = self.sampler.next_2d()
+        else:
+            cell = index - pixel * self.spp
+            row = cell // self.grid
+            inside = (mi.Point2f(cell - row * self.grid, row) + 0.5) / self.grid
+        position = corner + inside
+
+        time = self.sensor.shutter_open()
+        if self.moves:
+            time += self.sampler.next_1d() * self.sensor.shutter_open_time()
+        ray, weight = self.sensor.sample_ray_differential(
+            time=time,
+            sample1=self.sampler.next_1d() if mi.is_spectral else 0,
+            sample2=(position - offset) / mi.Vector2f(self.film.crop_size()),
+            sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
+        )
+        if self.sampler is not None and not self.jit:
+            self.sampler.advance()
+        # The box filter needs to know the pixel only, and no rounding may miss it.
+        return ray, weight, corner + 0.5 if self.film.rfilter().is_box_filter() else position

@@ -1,0 +1,154 @@
+"""The command `phong-bsdf`: parses, calls, prints. Exit codes: 0 good, 1 a check failed, 2 bad usage or input."""
+
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from . import __version__, llvm
+
+
+class Size(click.ParamType):
+    """`640x480`."""
+
+    name = "WxH"
+
+    def convert(self, value, param, ctx):
+        sides = str(value).lower().split("x")
+        if len(sides) != 2 or not all(side.isdigit() and int(side) > 0 for side in sides):
+            self.fail(f"'{value}' is no size; write it as 640x480", param, ctx)
+        return int(sides[0]), int(sides[1])
+
+
+class Define(click.ParamType):
+    """`name=value`."""
+
+    name = "name=value"
+
+    def convert(self, value, param, ctx):
+        name, equals, text = str(value).partition("=")
+        if not (name and equals):
+            self.fail(f"'{value}' should be name=value", param, ctx)
+        return name, text
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="phong-bsdf")
+def main():
+    """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
+
+
+@main.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "outputs", multiple=True, required=True, type=click.Path(path_type=Path),
+              help="File to write, .exr (linear) or .png (8 bit). May be given several times.")  # fmt: skip
+@click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb.")
+@click.option("-D", "--define", "defines", multiple=True, type=Define(),
+              help="Value for a <default> of the scene. May be given several times.")  # fmt: skip
+@click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says.")
+@click.option("--size", type=Size(), help="Size of the picture. Default: as the scene says.")
+@click.option("--camera", default=1, show_default=True, help="Which sensor of the scene, counted from 1.")
+@click.option("-s", "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
+              help="Seed of the sampler.")  # fmt: skip
+@click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
+@click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
+@click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log.")
+def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, verbose):
+    """Render a Mitsuba XML SCENE."""
+    with _errors():
+        from . import images
+
+        for path in outputs:
+            images.check_writable(path)
+        _start(variant, threads, verbose)
+        from . import rendering
+
+        with _progress() as show:
+            show("loading", 0)
+            loaded = rendering.load(scene, dict(defines))
+            if size:
+                rendering.resize(loaded, camera, *size)
+            show("rendering", 0)
+            result = rendering.render(
+                loaded, camera=camera, spp=spp or 0, seed=seed, on_progress=lambda share: show("rendering", share)
+            )
+        metadata = {
+            "phong_bsdf": __version__, "scene": scene.name, "variant": result.variant,
+            "spp": str(result.spp), "seed": str(seed),
+        }  # fmt: skip
+        for path in outputs:
+            images.write(path, result.image, linear=linear, metadata=metadata)
+    height, width = result.image.shape[:2]
+    click.echo(
+        f"{', '.join(map(str, outputs))}: {width} x {height}, {result.spp} spp, "
+        f"{result.lights} light{'' if result.lights == 1 else 's'}, {result.variant}; loading {loaded.seconds:.2f} s, "
+        f"compiling {result.seconds_compiling:.2f} s, rendering {result.seconds_rendering:.2f} s"
+    )
+
+
+@main.command()
+def doctor():
+    """Show which LLVM Dr.Jit uses, and prove in a child process that it works."""
+    for name, value in llvm.describe().items():
+        click.echo(f"{name:24}{value}")
+    # In a child process: a bad LLVM ends the process that asks it to compile.
+    proof = (
+        "import phong_bsdf, mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr; "
+        "assert dr.sum(dr.square(mi.Float([1, 2, 3])))[0] == 14"
+    )
+    child = subprocess.run([sys.executable, "-c", proof], capture_output=True, text=True)
+    if child.returncode == 0:
+        click.echo(f"{'llvm_ad_rgb':24}works")
+        return
+    reason = child.stderr.strip().rsplit("\n", 1)[-1] or f"the process ended with code {child.returncode}"
+    click.echo(f"{'llvm_ad_rgb':24}does not work: {reason}\n{llvm.REMEDY}")
+    sys.exit(1)
+
+
+def _start(variant: str | None, threads: int | None, verbose: bool) -> None:
+    """Set variant, threads and log level."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if variant is None:
+        variant = "llvm_ad_rgb" if drjit_has_llvm() else "scalar_rgb"
+        if variant == "scalar_rgb":
+            click.echo(f"Warning: no usable LLVM, so scalar_rgb is used, which is very slow. {llvm.REMEDY}", err=True)
+    if variant not in mi.variants():
+        raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Error)
+    # With a single thread Mitsuba's bitmap textures wait for ever.
+    dr.set_thread_count(max(2, threads or os.cpu_count() or 2))
+
+
+def drjit_has_llvm() -> bool:
+    import drjit
+
+    return drjit.detail.llvm_version()[0] >= llvm.OLDEST
+
+
+@contextmanager
+def _errors():
+    """Turn an expected error into one sentence and exit code 2."""
+    try:
+        yield
+    except (ValueError, OSError, ImportError) as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(2)
+
+
+@contextmanager
+def _progress():
+    """A progress bar on a terminal, nothing elsewhere. Yields show(what, share done)."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("loading", total=1)
+        yield lambda what, share: bar.update(task, description=what, completed=share)

@@ -1,0 +1,102 @@
+"""Image files <-> arrays. Linear EXR through the OpenEXR package, 8-bit PNG through Mitsuba's bitmap.
+
+A file is written under a temporary name and then renamed: it appears whole or not at all.
+Mitsuba's own EXR routines are avoided: they wait for ever where Dr.Jit has no free thread.
+"""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+FORMATS = (".exr", ".png")
+
+
+def check_writable(path: Path) -> None:
+    """Raise ValueError if `write` could not write `path`."""
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"'{path}': an image file must end in {' or '.join(FORMATS)}")
+    if path.is_dir():
+        raise ValueError(f"'{path}' is a folder")
+    try:
+        with _whole(path, keep=False):
+            pass
+    except OSError as error:
+        raise ValueError(f"'{path}' cannot be written: {error.strerror or error}") from None
+
+
+def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
+    """Write a linear image of shape (height, width, channels), channels 1, 3 or 4.
+
+    EXR holds it as it is (32-bit float), with `metadata` as string attributes. PNG holds
+    round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding.
+    """
+    path = Path(path)
+    image = np.asarray(image, np.float32)
+    with _whole(path) as temporary:
+        if path.suffix.lower() == ".exr":
+            _write_exr(temporary, image, metadata or {})
+        else:
+            _write_png(temporary, image if linear else _srgb(image))
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """The image in an EXR file, shape (height, width, channels), float32, channels in the order Y or R, G, B, A."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        names = [name for name in ("Y", "R", "G", "B", "A") if name in channels]
+        return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], axis=-1)
+
+
+def to_8bit(image: np.ndarray) -> np.ndarray:
+    """round(255 clamp(x, 0, 1)); NaN becomes 0."""
+    return np.rint(255 * np.clip(np.nan_to_num(image, nan=0.0), 0, 1)).astype(np.uint8)
+
+
+def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> None:
+    import OpenEXR
+
+    names = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
+    channels = {name: np.ascontiguousarray(image[:, :, i]) for i, name in enumerate(names)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
+    with OpenEXR.File(header, channels) as file:
+        file.write(path)
+
+
+def _write_png(path: str, image: np.ndarray) -> None:
+    # Not `mitsuba.Bitmap`: this one needs no variant to be set.
+    from mitsuba.mitsuba_ext import Bitmap
+
+    Bitmap(np.ascontiguousarray(to_8bit(image))).write(path)
+
+
+def _srgb(image: np.ndarray) -> np.ndarray:
+    color = np.clip(np.nan_to_num(image[:, :, :3], nan=0.0), 0, 1)
+    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
+    return np.concatenate([encoded, image[:, :, 3:]], axis=2)
+
+
+@contextlib.contextmanager
+def _whole(path: Path, keep: bool = True) -> Iterator[str]:
+    """A temporary file beside `path`, with its suffix, that becomes `path` if all goes well."""
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(descriptor)
+    try:
+        yield temporary
+        if keep:
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            # As a new file of this user would have it, not private as mkstemp makes it.
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(temporary, 0o666 & ~mask)
+            os.replace(temporary, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)

@@ -1,0 +1,97 @@
+"""The delta lights of a scene as arrays: a position or a direction each, and an intensity.
+
+A light is read through its own `sample_direction`, so that every delta emitter of
+Mitsuba is served, but from a point where nothing can overflow or cancel: the falloff
+1/r^2 that Mitsuba applies is never undone at the distance of the surface.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+from .needs import is_delta
+
+# Emitters whose intensity is the same in all directions.
+UNIFORM = ("PointLight", "DirectionalEmitter")
+
+
+class Lights:
+    """All delta lights of `scene`; `sample(i, ...)` serves the `i`-th."""
+
+    def __init__(self, scene):
+        emitters = [e for e in scene.emitters() if is_delta(e)]
+        self.count = len(emitters)
+        self.scalar = not dr.is_jit_v(mi.Float)
+        # End of a loop over the lights; not a literal, so that their number is not part of the kernel.
+        self.limit = self.count if self.scalar else dr.opaque(mi.UInt32, self.count)
+        if self.count == 0:
+            return
+        self.any_positional = any(_positional(e) for e in emitters)
+        self.any_directional = not all(_positional(e) for e in emitters)
+        # Wavelengths differ from ray to ray: a spectral intensity cannot be tabulated.
+        self.uniform = not mi.is_spectral and all(e.class_name() in UNIFORM for e in emitters)
+
+        if self.scalar:
+            self.table = [self._read(e, _positional(e)) for e in emitters]
+        else:
+            pointers = scene.emitters_dr()
+            if dr.width(pointers) != self.count:
+                kept = [i for i, e in enumerate(scene.emitters()) if is_delta(e)]
+                pointers = dr.gather(type(pointers), pointers, mi.UInt32(kept))
+            self.table = self._read(pointers, mi.Bool([_positional(e) for e in emitters]))
+            if self.count > 1:
+                dr.eval(self.table)
+
+    def _read(self, emitter, positional):
+        """(emitter, is it at a position?, the position or the direction toward it, intensity or None)."""
+        it = dr.zeros(mi.Interaction3f, self.count)
+        ds, _ = emitter.sample_direction(it, mi.Point2f(0))
+        at = dr.select(positional, ds.p, mi.Point3f(ds.d))
+        return emitter, positional, at, self._intensity(emitter, at, mi.Vector3f(0, 0, 1)) if self.uniform else None
+
+    def _intensity(self, emitter, at, direction, it=None, active=True):
+        """Intensity (for directional lights irradiance) sent against `direction`."""
+        it = dr.zeros(mi.Interaction3f) if it is None else it
+        # Far enough from the light for the difference of the positions to keep its digits.
+        reach = dr.maximum(dr.max(dr.abs(at)), 1)
+        it.p = at - direction * reach
+        ds, weight = emitter.sample_direction(it, mi.Point2f(0), active)
+        distance = dr.select(mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition), ds.dist, 1)
+        return mi.unpolarized_spectrum(weight) * dr.square(distance)
+
+    def sample(self, i, si, active):
+        """Light `i` seen from `si`: (direction toward it, distance, intensity, lanes that have it).
+
+        The direction is a unit vector in world space; the distance is infinite for directional
+        lights. The intensity is the emitter's own: no falloff.
+        """
+        emitter, positional, at, intensity = self._entry(i)
+        direction, distance = mi.Vector3f(at), mi.Float(dr.inf)
+        if self.any_positional:
+            toward = at - si.p
+            length = dr.norm(toward)
+            active = active & ((length > 0) | (positional == False))  # noqa: E712
+            unit = toward / dr.select(length > 0, length, 1)
+            direction = dr.select(positional, unit, direction) if self.any_directional else unit
+            distance = dr.select(positional, length, dr.inf) if self.any_directional else length
+        if intensity is None:
+            it = dr.zeros(mi.Interaction3f)
+            it.time, it.wavelengths = si.time, si.wavelengths
+            intensity = self._intensity(emitter, at, direction, it, active)
+        return direction, distance, intensity, active
+
+    def _entry(self, i):
+        if self.scalar:
+            return self.table[i]
+        if self.count == 1:
+            return self.table
+        emitter, positional, at, intensity = self.table
+        return (
+            dr.gather(type(emitter), emitter, i),
+            dr.gather(mi.Bool, positional, i),
+            dr.gather(mi.Point3f, at, i),
+            None if intensity is None else dr.gather(type(intensity), intensity, i),
+        )
+
+
+def _positional(emitter) -> bool:
+    return mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)

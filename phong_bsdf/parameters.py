@@ -1,0 +1,70 @@
+"""BSDF parameters: read from the scene, checked when the scene is loaded.
+
+A parameter is a number, an RGB colour, a spectrum or a texture; all four arrive as a
+Mitsuba texture. Numbers and colours outside the legal range are errors. A texture's
+values are known only at the hit, so `value` and `value_1` clamp those instead.
+"""
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+
+class Parameter:
+    """One texture-valued BSDF parameter with its legal range [0, `upper`]."""
+
+    def __init__(self, props, name: str, default: float, upper: float = math.inf):
+        self.name = name
+        self.upper = upper
+        self._check(props, name, upper)
+        self.texture = props.get_unbounded_texture(name, default)
+        self.varies = self.texture.is_spatially_varying()
+        self._three_channels = self.varies and _has_three_channels(self.texture)
+
+    def value(self, si, active):
+        """The value at `si`, a spectrum; textures clamped to the legal range."""
+        return self._clamp(self.texture.eval(si, active))
+
+    def value_1(self, si, active):
+        """The value at `si` as one number: the mean over the channels; textures clamped to the legal range."""
+        if self._three_channels:
+            return self._clamp(dr.mean(self.texture.eval_3(si, active)))
+        return self._clamp(self.texture.eval_1(si, active))
+
+    def is_zero(self) -> bool:
+        """Whether the parameter is the constant 0, so that what it scales can be left out."""
+        return not self.varies and self.texture.max() == 0
+
+    def _clamp(self, value):
+        # fmax and fmin also turn a texture's NaN into a number.
+        if not self.varies:
+            return value
+        value = dr.fmax(value, 0)
+        return value if self.upper == math.inf else dr.fmin(value, self.upper)
+
+    @staticmethod
+    def _check(props, name: str, upper: float) -> None:
+        if name not in props:
+            return
+        given = props[name]
+        if isinstance(given, bool | str):
+            numbers = [math.nan]
+        elif isinstance(given, int | float):
+            numbers = [float(given)]
+        elif props.type(name) == mi.Properties.Type.Color:
+            numbers = [float(c) for c in given]
+        else:
+            return
+        if not all(0 <= x <= upper and x < math.inf for x in numbers):
+            wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
+            raise ValueError(f"{props.plugin_name()}: '{name}' must be {wanted}, got {given}")
+
+
+def _has_three_channels(texture) -> bool:
+    """Whether a texture stores three channels, of which `eval_1` would give the luminance instead of the mean."""
+    try:
+        texture.eval_3(dr.zeros(mi.SurfaceInteraction3f))
+    except RuntimeError:
+        return False
+    return True

@@ -1,0 +1,149 @@
+"""BSDF `mirrorblend`: any BSDF, blended with a perfect mirror."""
+
+import drjit as dr
+import mitsuba as mi
+
+from phong_bsdf.needs import MIRRORLESS
+from phong_bsdf.parameters import Parameter
+
+
+ALL_COMPONENTS = 0xFFFFFFFF  # BSDFContext.component's default
+
+
+class MirrorBlend(mi.BSDF):
+    r"""The lecture's partially mirrored surface, around one nested BSDF.
+
+        L = k_m L_r + (1 - k_m) L_nested,    L_r: what the mirror direction sees
+
+    The nested BSDF is any plugin, native ones included. The mirror is on the sides that the
+    nested BSDF has (`twosided` inside or outside: both).
+
+    ====  ==============================  ========  =======  =============================
+    name  type                            range     default  meaning
+    ====  ==============================  ========  =======  =============================
+    km    number, RGB, spectrum, texture  [0, 1]    0.5      mirrored part
+    bsdf  BSDF                            exactly 1          the surface under the mirror
+    ====  ==============================  ========  =======  =============================
+
+    `km` is differentiable. Values of a texture outside the range are clamped to it. The
+    delta lobe follows Mitsuba's `plastic`: the `pdf` of a mirror sample is the probability
+    of choosing it, and `eval` and `pdf` leave the mirror out.
+
+    XML::
+
+        <bsdf type="mirrorblend">
+            <float name="km" value="0.4"/>
+            <bsdf type="blinnphong"/>
+        </bsdf>
+
+    Python::
+
+        {"type": "mirrorblend", "km": 0.4, "nested": {"type": "blinnphong"}}
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.km = Parameter(props, "km", 0.5, upper=1)
+        nested = [props[name] for name in props.keys() if isinstance(props[name], mi.BSDF)]  # noqa: SIM118
+        if len(nested) != 1:
+            raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
+        self.nested = nested[0]
+        self.parameters_changed([])
+
+    def traverse(self, cb):
+        cb.put("km", self.km.texture, mi.ParamFlags.Differentiable)
+        cb.put("nested_bsdf", self.nested, mi.ParamFlags.Differentiable)
+
+    def parameters_changed(self, keys):
+        nested = [self.nested.flags(i) for i in range(self.nested.component_count())]
+        self.both_sides = mi.has_flag(self.nested.flags(), mi.BSDFFlags.BackSide)
+        self.mirrors = not self.km.is_zero()
+        components = nested
+        if self.mirrors:
+            mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
+            if self.both_sides:
+                mirror |= int(mi.BSDFFlags.BackSide)
+            if self.km.varies:
+                mirror |= int(mi.BSDFFlags.SpatiallyVarying)
+            components = [mirror, *nested]
+        self.m_components = components
+        self.m_flags = 0
+        for flags in components:
+            self.m_flags |= flags
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        mirror, nested_ctx = self._split(ctx)
+        if not mirror:
+            bs, weight = self.nested.sample(nested_ctx, si, sample1, sample2, active)
+            return self._shift(bs), weight * self._nested_scale(ctx, si, active)
+
+        # The mirror: its pdf is the probability of choosing it.
+        km = self.km.value(si, active)
+        cos_theta_i = mi.Frame3f.cos_theta(si.wi)
+        facing = active & ((cos_theta_i != 0) if self.both_sides else (cos_theta_i > 0))
+        share = dr.mean(km) if nested_ctx else mi.Float(1)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = mi.reflect(si.wi)
+        bs.eta = 1
+        bs.pdf = dr.select(facing, share, 0)
+        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DeltaReflection))
+        bs.sampled_component = mi.UInt32(0)
+        weight = mi.depolarizer(dr.select(facing & (share > 0), km / dr.select(share > 0, share, 1), 0))
+        if not nested_ctx:
+            return bs, weight
+
+        # Or the nested BSDF, with the rest of the random number.
+        choose_mirror = sample1 < share
+        rest = dr.select(share < 1, 1 - share, 1)
+        nested, nested_weight = self.nested.sample(
+            nested_ctx, si, (sample1 - share) / rest, sample2, active & (sample1 >= share)
+        )
+        nested = self._shift(nested)
+        nested.pdf *= rest
+        nested_weight = nested_weight * mi.Spectrum((1 - km) / rest)
+        return dr.select(choose_mirror, bs, nested), dr.select(choose_mirror, weight, nested_weight)
+
+    def eval(self, ctx, si, wo, active=True):
+        nested_ctx = self._split(ctx)[1]
+        if not nested_ctx:
+            return mi.Spectrum(0)
+        value = self.nested.eval(nested_ctx, si, wo, active)
+        return value * self._nested_scale(ctx, si, active)
+
+    def pdf(self, ctx, si, wo, active=True):
+        mirror, nested_ctx = self._split(ctx)
+        if not nested_ctx:
+            return mi.Float(0)
+        pdf = self.nested.pdf(nested_ctx, si, wo, active)
+        return pdf * (1 - dr.mean(self.km.value(si, active))) if mirror else pdf
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def eval_diffuse_reflectance(self, si, active=True):
+        return self.nested.eval_diffuse_reflectance(si, active) * (1 - self.km.value(si, active))
+
+    def to_string(self):
+        nested = str(self.nested).replace("\n", "\n  ")
+        return f"MirrorBlend[\n  km = {self.km.texture},\n  nested_bsdf = {nested}\n]"
+
+    def _nested_scale(self, ctx, si, active):
+        """What is left of the nested BSDF, as a factor that keeps polarization."""
+        return mi.Spectrum(1 if ctx.type_mask & MIRRORLESS else 1 - self.km.value(si, active))
+
+    def _split(self, ctx):
+        """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
+        first = 1 if self.mirrors else 0
+        mirror = self.mirrors and ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
+        if ctx.component == ALL_COMPONENTS:
+            return mirror, ctx
+        if ctx.component < first:
+            return mirror, None
+        return mirror, mi.BSDFContext(ctx.mode, ctx.type_mask, ctx.component - first)
+
+    def _shift(self, bs):
+        bs.sampled_component += 1 if self.mirrors else 0
+        return bs
+
+
+mi.register_bsdf("mirrorblend", MirrorBlend)

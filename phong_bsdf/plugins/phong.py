@@ -1,0 +1,52 @@
+"""BSDF `phong`: Lambertian base plus Phong's mirror-direction highlight."""
+
+import mitsuba as mi
+
+from phong_bsdf import lobes
+
+from . import lobe_bsdf
+
+
+class Phong(lobe_bsdf.LobeBSDF):
+    r"""The lecture's Phong model: a highlight about the mirror direction.
+
+    For a light of intensity I in direction l, seen from direction v,
+
+        L = k_d I max(0, n.l) + k_s I max(0, r.v)^p,    r = l mirrored about n,
+
+    which as a BSDF is f cos(theta_o) = (k_d cos(theta_o) + k_s (r.v)^p) / pi. It is not
+    energy conserving, by design, and one-sided: black from behind (wrap it in `twosided`).
+
+    ====  ==============================  =========  =======  =====================================
+    name  type                            range      default  meaning
+    ====  ==============================  =========  =======  =====================================
+    kd    number, RGB, spectrum, texture  >= 0       0.5      diffuse coefficient
+    ks    number, RGB, spectrum, texture  >= 0       0.2      height of the highlight
+    p     number or texture               >= 0       30       exponent; of a colour texture its mean
+    ====  ==============================  =========  =======  =====================================
+
+    All are differentiable. Values of textures outside the range are clamped to it.
+
+    Source: Phong, "Illumination for computer generated pictures", 1975; the lecture
+    writes it without ambient term.
+
+    XML::
+
+        <bsdf type="phong">
+            <rgb name="kd" value="0.9, 0.3, 0.2"/>
+            <float name="ks" value="0.6"/>
+            <float name="p" value="50"/>
+        </bsdf>
+
+    Python::
+
+        {"type": "phong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.2]}, "ks": 0.6, "p": 50}
+    """
+
+    lobe = staticmethod(lobes.phong)
+    lobe_pdf = staticmethod(lobes.phong_pdf)
+    sample_lobe = staticmethod(lobes.sample_phong)
+    lobe_albedo = staticmethod(lobes.phong_albedo_normal)
+
+
+mi.register_bsdf("phong", Phong)

@@ -1,0 +1,133 @@
+"""Integrator `whitted`: delta lights, shadows and mirrors, without a random number."""
+
+import drjit as dr
+import mitsuba as mi
+
+from phong_bsdf.camera import CameraSamples
+from phong_bsdf.parameters import Parameter
+from phong_bsdf.tracer import Tracer
+
+IS_JIT = dr.is_jit_v(mi.Float)
+
+if IS_JIT:
+    # Not `mi.ad.common`: that name is not reloaded when the variant changes.
+    from mitsuba.python.ad.integrators.common import ADIntegrator as Base
+else:
+    Base = mi.SamplingIntegrator
+
+class Whitted(Base):
+    r"""A Whitted ray tracer, deterministic, with the lecture's conventions.
+
+    At every hit, over all lights j with direction l_j and visibility V_j,
+
+        L_o = sum_j pi [f cos](v, l_j) I_j V_j + delta lobes,
+
+    with I_j the emitter's `intensity` (point, spot, projector) or `irradiance` (directional)
+    and no falloff. The factor pi makes `diffuse` of reflectance rho look like kd = rho and
+    gives `phong` and `blinnphong` the lecture's formulas. `convention = physical` has the
+    falloff 1/r^2 and no pi, and equals Mitsuba's `direct` and `path` for delta lights.
+
+    =============  ======================  =======  ==================================================
+    name           type                    default  meaning
+    =============  ======================  =======  ==================================================
+    convention     `course` or `physical`  course   see above
+    max_depth      integer >= 1, or -1     10       1: the background only, 2: direct light, one more
+                                                    per mirror bounce; -1: until the throughput is
+                                                    below 1e-6, 1000 bounces at most
+    shadows        boolean                 true     whether surfaces block the lights
+    ambient        number, RGB, spectrum   0        adds ambient * diffuse reflectance at every hit
+    hide_emitters  boolean                 false    hides the background from the camera
+    =============  ======================  =======  ==================================================
+
+    Samples: spp = 1 traces pixel centres, spp = n^2 the centres of an n x n grid in each
+    pixel; any other number uses the film's sampler. When max_depth ends a chain of mirrors, the last
+    `mirrorblend` shows its nested surface undiminished (course), or its mirrored part is lost
+    (physical). `constant` and `envmap` emitters are a background: rays that leave the
+    scene see them, they light nothing. Delta lobes of native BSDFs (`conductor`, `plastic`,
+    `dielectric`, `thindielectric`, `mask`) are followed, all branches of them. Shadow rays
+    stop at any surface. Area lights are an error.
+
+    Source: Whitted, "An improved illumination model for shaded display", 1980.
+
+    XML::
+
+        <integrator type="whitted">
+            <integer name="max_depth" value="10"/>
+        </integrator>
+
+    Python::
+
+        {"type": "whitted", "max_depth": 10}
+    """
+
+    def __init__(self, props):
+        self.convention = props.get("convention", "course")
+        if self.convention not in ("course", "physical"):
+            raise ValueError(f"whitted: 'convention' must be 'course' or 'physical', got '{self.convention}'")
+        self.depth = props.get("max_depth", 10)
+        if not isinstance(self.depth, int) or (self.depth < 1 and self.depth != -1):
+            raise ValueError(f"whitted: 'max_depth' must be -1 or an integer >= 1, got {self.depth}")
+        self.shadows = props.get("shadows", True)
+        if not isinstance(self.shadows, bool):
+            raise ValueError(f"whitted: 'shadows' must be true or false, got {self.shadows}")
+        self.ambient = Parameter(props, "ambient", 0)
+        super().__init__(props)
+
+    def sample(self, scene, sampler, ray, medium=None, active=True, mode=None, **_):
+        """Radiance along `ray`, in the form that Mitsuba expects of an integrator of this variant."""
+        radiance, valid = self._tracer(scene, mode).trace(ray, active)
+        return (radiance, valid, [], None) if IS_JIT else (radiance, valid, [])
+
+    def prepare(self, sensor, seed=0, spp=0, aovs=()):
+        """Prepares the film; returns the camera's samples and the number of them per pixel."""
+        samples = CameraSamples(sensor, seed, spp)
+        sensor.film().prepare(list(aovs))
+        return samples, samples.spp
+
+    def sample_rays(self, scene, sensor, samples):
+        """Camera rays of all samples, their weights, and their positions on the film."""
+        return samples.rays(dr.arange(mi.UInt32, samples.count))
+
+    def to_string(self):
+        return f"Whitted[convention = {self.convention}, max_depth = {self.depth}, shadows = {self.shadows}]"
+
+    def _tracer(self, scene, mode=None):
+        return Tracer(
+            scene,
+            convention=self.convention,
+            max_depth=self.depth,
+            shadows=self.shadows,
+            ambient=None if self.ambient.is_zero() else self.ambient,
+            hide_emitters=self.hide_emitters,
+            gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
+        )
+
+    if not IS_JIT:
+
+        def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+            """Renders one sample after the other; JIT variants have Mitsuba's `ADIntegrator.render`."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
+            film = sensor.film()
+            block = film.create_block()
+            tracer = self._tracer(scene)
+            for index in range(samples.count):
+                ray, weight, position = samples.rays(index)
+                radiance, valid = tracer.trace(ray, True)
+                _splat(block, film, position, radiance * weight, ray.wavelengths, valid)
+            film.put_block(block)
+            return film.develop() if develop else mi.TensorXf()
+
+
+def _splat(block, film, position, value, wavelengths, valid):
+    value = mi.unpolarized_spectrum(value)
+    alpha = float(valid)
+    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
+        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=1, alpha=alpha))
+        return
+    rgb = mi.spectrum_to_srgb(value, wavelengths) if mi.is_spectral else mi.Color3f(value)
+    channels = [*rgb, alpha] if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else [*rgb]
+    block.put(position, [*channels, 1.0])
+
+
+mi.register_integrator("whitted", Whitted)

@@ -1,0 +1,55 @@
+"""The plugins' names, and their registration in every variant.
+
+A Python plugin is a class of one variant: it has to be built again, and registered
+again, for each variant that becomes active. The modules in `plugins/` therefore
+have the shape of Mitsuba's own Python plugins (the class, then its registration as
+the last line) and are reloaded here at each change of variant. From Mitsuba 3.10 on
+the entry point in `pyproject.toml` has the same effect.
+"""
+
+import importlib
+import sys
+
+import mitsuba as mi
+
+from . import llvm
+
+# In the order of loading: a base class before the classes that derive from it.
+MODULES = ("lobe_bsdf", "phong", "blinnphong", "mirrorblend", "whitted")
+
+PLUGINS = {"phong": "bsdf", "blinnphong": "bsdf", "mirrorblend": "bsdf", "whitted": "integrator"}
+
+# The variant that the classes in `plugins/` belong to now.
+_loaded_for: str | None = None
+
+
+def register() -> None:
+    """Register the plugins for the active variant, if there is one, and for every later one."""
+    mi.detail.add_variant_callback(_on_variant_change)
+    for name, kind in PLUGINS.items():
+        # Mitsuba asks scalar_rgb alone what kind of object a plugin is.
+        if mi.variant() != "scalar_rgb":
+            getattr(mi.scalar_rgb, f"register_{kind}")(name, _only_a_name)
+    _on_variant_change(None, mi.variant())
+
+
+def _on_variant_change(_old: str | None, new: str | None) -> None:
+    llvm.check(new or "")
+    _load(new)
+
+
+def _load(variant: str | None) -> None:
+    global _loaded_for
+    if variant is None or variant == _loaded_for:
+        return
+    for module in MODULES:
+        name = f"{__package__}.plugins.{module}"
+        if name in sys.modules:
+            importlib.reload(sys.modules[name])
+        else:
+            importlib.import_module(name)
+    _loaded_for = variant
+
+
+def _only_a_name(props):
+    raise RuntimeError(f"{props.plugin_name()}: the variant scalar_rgb must be set before this plugin is made")

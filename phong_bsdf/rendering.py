@@ -1,0 +1,213 @@
+"""Load a scene file, render it, and say what that took.
+
+Everything a user can get wrong in a scene is a `SceneError` here: one sentence that
+names the file and the line where Mitsuba knows them.
+"""
+
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import needs
+
+# A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
+SAMPLES_PER_PASS = 2**24
+
+
+class SceneError(ValueError):
+    """A scene that cannot be loaded or rendered as asked."""
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene in memory, with what its file says about it."""
+
+    path: Path
+    scene: object
+    integrator: str
+    seconds: float
+
+    def sensor(self, camera: int):
+        """Camera number `camera`, counted from 1."""
+        sensors = self.scene.sensors()
+        if not sensors:
+            raise SceneError(f"{self.path}: the scene has no sensor")
+        if not 1 <= camera <= len(sensors):
+            raise SceneError(f"{self.path}: there is no camera {camera}, the scene has {len(sensors)}")
+        return sensors[camera - 1]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A picture and what it took."""
+
+    image: np.ndarray
+    """Linear, shape (height, width, channels), float32."""
+    variant: str
+    spp: int
+    seed: int
+    lights: int
+    seconds_compiling: float
+    seconds_rendering: float
+
+
+def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
+    """Load a Mitsuba XML scene in the active variant; `defines` gives values for its `<default>`s."""
+    start = time.perf_counter()
+    path = Path(path)
+    if not path.is_file():
+        raise SceneError(f"{path}: there is no such file")
+    try:
+        config = mi.parser.ParserConfig(mi.variant())
+        state = mi.parser.parse_file(config, str(path), **(defines or {}))
+        integrator = next((n.props.plugin_name() for n in state.nodes if n.type == mi.ObjectType.Integrator), "")
+        if integrator == "whitted":
+            _check_lights(state)
+        mi.parser.transform_all(config, state)
+        loaded = mi.parser.instantiate(config, state)
+    except RuntimeError as error:
+        raise SceneError(explain(error, path)) from None
+    scene = loaded[0] if isinstance(loaded, list) else loaded
+    if not isinstance(scene, mi.Scene):
+        raise SceneError(f"{path}: the file describes no <scene>")
+    if not scene.integrator():
+        raise SceneError(f'{path}: the scene has no integrator; add <integrator type="whitted"/>')
+    return LoadedScene(path, scene, integrator, time.perf_counter() - start)
+
+
+def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
+    """Give the camera's film another size, without a crop window."""
+    params = mi.traverse(loaded.sensor(camera))
+    params["film.size"] = mi.ScalarVector2u(width, height)
+    params["film.crop_size"] = mi.ScalarVector2u(width, height)
+    params["film.crop_offset"] = mi.ScalarPoint2u(0, 0)
+    params.update()
+
+
+def render(
+    loaded: LoadedScene,
+    *,
+    camera: int = 1,
+    spp: int = 0,
+    seed: int = 0,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Rendering:
+    """Render camera number `camera` (from 1) with `spp` samples per pixel (0: as the scene says).
+
+    Large renderings go in passes, and `on_progress` hears the share done after each. A
+    `whitted` picture goes in bands of rows and does not depend on them. Other integrators
+    with the `independent` sampler go in passes of different seeds, and so have other noise
+    than one pass would.
+    """
+    scene = loaded.scene
+    sensor = loaded.sensor(camera)
+    spp = spp or sensor.sampler().sample_count()
+    try:
+        lights = needs.analyse(scene).lights if loaded.integrator == "whitted" else len(scene.emitters())
+        with _CompileTime() as compiling:
+            start = time.perf_counter()
+            image = None
+            for image, share in _passes(loaded, sensor, spp, seed):
+                on_progress(share)
+            seconds = time.perf_counter() - start
+    except (RuntimeError, ValueError) as error:
+        raise SceneError(explain(error, loaded.path)) from None
+    return Rendering(image, mi.variant(), spp, seed, lights, compiling.seconds, max(seconds - compiling.seconds, 0.0))
+
+
+def explain(error: BaseException, path: Path) -> str:
+    """One sentence for an error of Mitsuba: where, and what, without its C++ and Python frames."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    text = str(error)
+    where = re.search(r'(?:At|while loading|While loading|XML file) "?([^"\n]*?)"? ?\(line (\d+)', text)
+    line = where or re.search(r"()\(line (\d+), col", text)
+    file = where[1] if where and where[1] else str(path)
+    if "Traceback (most recent call last)" in text:
+        text = text.rstrip().rsplit("\n", 1)[-1]
+        text = re.sub(r"^\w+(Error|Exception): ", "", text)
+    text = re.sub(r"\[[\w.]+:\d+\] ", "", text)
+    text = re.sub(r"^(At|Error while loading|While loading) .*?\(line \d+, col \d+\): ", "", text)
+    text = re.sub(r'^Parsing of XML file ".*?" failed: ', "", text)
+    text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
+    text = re.sub(r"^Found unused parameters:\s*", "the scene has no <default> for ", text)
+    text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
+    return f"{file}, line {line[2]}: {text}" if line else f"{file}: {text}"
+
+
+def _check_lights(state) -> None:
+    for node in state.nodes:
+        name = node.props.plugin_name()
+        if node.type == mi.ObjectType.Emitter and name not in needs.LIGHTS + needs.BACKGROUNDS:
+            raise RuntimeError(f"At {mi.parser.file_location(state, node)}: {needs.refusal(name)}")
+
+
+def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:
+    """The picture so far (rows not rendered yet are 0) and the share that is done, after each pass."""
+    film = sensor.film()
+    width, height = (int(side) for side in film.crop_size())
+    box = film.rfilter().is_box_filter()
+
+    if width * height * spp <= SAMPLES_PER_PASS:
+        yield _render(loaded.scene, sensor, spp, seed), 1.0
+    elif loaded.integrator == "whitted" and box:
+        rows = max(SAMPLES_PER_PASS // (width * spp), 1)
+        yield from _bands(loaded.scene, sensor, spp, seed, rows)
+    elif sensor.sampler().class_name() == "IndependentSampler":
+        per_pass = max(SAMPLES_PER_PASS // (width * height), 1)
+        total, done = 0.0, 0
+        while done < spp:
+            n = min(per_pass, spp - done)
+            total = total + n * _render(loaded.scene, sensor, n, seed + done).astype(np.float64)
+            done += n
+            yield (total / done).astype(np.float32), done / spp
+    else:
+        yield _render(loaded.scene, sensor, spp, seed), 1.0
+
+
+def _bands(scene, sensor, spp, seed, rows):
+    params = mi.traverse(sensor)
+    size, offset = params["film.crop_size"], params["film.crop_offset"]
+    (width, height), (left, top) = (tuple(map(int, v)) for v in (size, offset))
+    image = None
+    try:
+        for first in range(0, height, rows):
+            params["film.crop_size"] = mi.ScalarVector2u(width, min(rows, height - first))
+            params["film.crop_offset"] = mi.ScalarPoint2u(left, top + first)
+            params.update()
+            band = _render(scene, sensor, spp, seed)
+            if image is None:
+                image = np.zeros((height, *band.shape[1:]), np.float32)
+            image[first : first + len(band)] = band
+            yield image, (first + len(band)) / height
+    finally:
+        params["film.crop_size"], params["film.crop_offset"] = size, offset
+        params.update()
+
+
+def _render(scene, sensor, spp, seed) -> np.ndarray:
+    image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+    return image if image.ndim == 3 else image[:, :, None]
+
+
+class _CompileTime:
+    """Seconds that Dr.Jit spent on code generation and in LLVM inside a `with` block."""
+
+    seconds = 0.0
+
+    def __enter__(self):
+        self.before = dr.flag(dr.JitFlag.KernelHistory)
+        dr.set_flag(dr.JitFlag.KernelHistory, True)
+        dr.kernel_history_clear()
+        return self
+
+    def __exit__(self, *_):
+        times = ("codegen_time", "backend_time")
+        self.seconds = sum(k.get(t, 0) for k in dr.kernel_history() for t in times) / 1000
+        dr.set_flag(dr.JitFlag.KernelHistory, self.before)

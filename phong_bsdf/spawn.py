@@ -1,0 +1,120 @@
+"""Hits, and the rays that leave them, as exact as float32 allows and no further off.
+
+Mitsuba starts a secondary ray 9e-5 (1 + |p|) off the surface: a tenth of an object of
+size 1e-3, yet too little on a sphere of radius 5000, whose shadow test in float32
+misses the surface by up to 1e-3. The error of a hit grows with the size of the shape
+that was hit and with its coordinates; so does the offset here.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+# Rounding errors that a hit and the test of the ray that leaves it add up, in units of
+# 2^-24 (coordinates + size of the shape). A sphere's shadow test, r^2 - |o - c|^2 in
+# float32, needs about 3; Embree's triangles and the other shapes less.
+ROUNDINGS = 4 * 2**-24
+
+# Cosine below which a ray is moved off the surface along the normal rather than along itself.
+STEEPEST = 0.1
+
+# A sphere this many times larger than the smallest shape, or than the camera's distance
+# from it, is hit so imprecisely that the hit is worth refining.
+LARGE = 50
+
+
+class Surfaces:
+    """The sizes of the shapes of `scene`, and hits and ray origins that respect them."""
+
+    def __init__(self, scene):
+        self.jit = dr.is_jit_v(mi.Float)
+        shapes = scene.shapes()
+        extents = [_extent(shape) for shape in shapes]
+        self.largest = max(extents, default=1.0)
+        smallest = min(extents, default=1.0)
+        # One number serves all shapes if they are of one order of magnitude.
+        self.table = self._tabulate(shapes, extents) if self.largest > 8 * smallest else None
+        # Scalar variants intersect spheres in double precision.
+        self.spheres = [_Sphere(s) for s in shapes if _is_large(s, smallest, scene)] if self.jit else []
+
+    def refine(self, si, ray):
+        """The hit point of `ray`, moved along it onto the surface where that is a large sphere."""
+        p = si.p
+        for sphere in self.spheres:
+            p = dr.select(si.shape == sphere.pointer, p + ray.d * sphere.correction(p, ray.d), p)
+        return p
+
+    def tolerance(self, si, active):
+        """Bound on the distance between the hit `si` and the surface that ray tests see, in world units."""
+        if self.table is None:
+            extent = self.largest
+        elif not self.jit:
+            extent = self.table.get(si.shape.ptr, self.largest)
+        else:
+            index = dr.reinterpret_array(mi.UInt32, si.shape)
+            extent = dr.gather(mi.Float, self.table, dr.minimum(index, dr.width(self.table) - 1), active)
+        return ROUNDINGS * (dr.max(dr.abs(si.p)) + extent)
+
+    @staticmethod
+    def leave(si, direction, tolerance):
+        """Start of a ray that leaves the hit `si` in `direction`, and how far along the ray from the hit that is."""
+        cos = dr.dot(si.n, direction)
+        # Along the ray, which stays the same ray; at grazing angles, where that would lead far, along the normal.
+        along = tolerance / dr.maximum(dr.abs(cos), STEEPEST)
+        return mi.Point3f(si.p + direction * along + si.n * (dr.mulsign(tolerance, cos) - along * cos)), along
+
+    def shadow_ray(self, si, direction, distance, tolerance):
+        """Ray from `si` toward a light at `distance`; a surface that the light touches does not block it."""
+        o, along = self.leave(si, direction, tolerance)
+        maxt = dr.maximum(distance * (1 - 2 * ROUNDINGS) - along - tolerance, 0)
+        return mi.Ray3f(o, direction, maxt, si.time, si.wavelengths)
+
+    def _tabulate(self, shapes, extents):
+        if not self.jit:
+            return {shape.ptr: extent for shape, extent in zip(shapes, extents, strict=True)}
+        ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0] for shape in shapes]
+        # Shapes that are not listed (the inside of instances) count as large.
+        table = [self.largest] * (max(ids) + 2)
+        for i, extent in zip(ids, extents, strict=True):
+            table[i] = extent
+        return mi.Float(table)
+
+
+class _Sphere:
+    """A large sphere as the polynomial |p|^2 - 2 p.c + (|c|^2 - r^2), exact near the origin of the world.
+
+    Squaring |p - c| instead would lose everything below r 2^-24. The constant is formed in
+    double precision.
+    """
+
+    def __init__(self, shape):
+        to_world = mi.traverse(shape)["to_world"]
+        self.pointer = mi.ShapePtr(shape)
+        self.center = to_world @ mi.Point3f(0)
+        center, edge = (dr.float64_array_t(mi.Point3f)(x) for x in (self.center, to_world @ mi.Vector3f(1, 0, 0)))
+        self.constant = mi.Float(dr.squared_norm(center) - dr.squared_norm(edge))
+
+    def correction(self, p, d):
+        """Distance along the unit vector `d` from `p`, close to the sphere, to the sphere."""
+        f = dr.squared_norm(p) - 2 * dr.dot(p, self.center) + self.constant
+        half_b = dr.dot(p - self.center, d)
+        # The root of t^2 + 2 half_b t + f that is closer to 0.
+        root = dr.sqrt(dr.maximum(dr.square(half_b) - f, 0))
+        t = -f / (half_b + dr.mulsign(root, half_b))
+        return dr.select(dr.isfinite(t), t, 0)
+
+
+def _extent(shape) -> float:
+    """Largest coordinate or side of the shape's bounding box: what its float32 arithmetic works with."""
+    box = shape.bbox()
+    return max(max(abs(box.min[i]), abs(box.max[i]), box.max[i] - box.min[i]) for i in range(3))
+
+
+def _is_large(shape, smallest: float, scene) -> bool:
+    if shape.class_name() != "Sphere":
+        return False
+    box = shape.bbox()
+    radius = 0.5 * (box.max[0] - box.min[0])
+    center = 0.5 * (box.max + box.min)
+    cameras = [sensor.world_transform().translation() for sensor in scene.sensors()]
+    distances = [abs(float(dr.norm(mi.ScalarVector3f(*[float(x[0]) for x in camera]) - center)) - radius) for camera in cameras]
+    return radius > LARGE * min([smallest, *distances])

@@ -1,0 +1,259 @@
+"""Follows camera rays through one scene: lights and shadows at each hit, then the mirrors.
+
+The integrator `whitted` makes one `Tracer` for each rendering. It takes from `needs`
+what the scene has, and builds the kernel without the rest.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+from .lights import Lights
+from .needs import MIRRORLESS, analyse
+from .spawn import Surfaces
+
+# Unlimited depth: until the throughput is below this, after this many bounces at the latest.
+FAINTEST = 1e-6
+MOST_BOUNCES = 1000
+
+# Room for the branches of a tree of refractions that wait for their turn. The fainter
+# of two branches is followed first: it carries at most half of the light, so after 20
+# levels it is below FAINTEST and the path ends.
+MOST_WAITING = 24
+
+
+class Tracer:
+    """An integrator's options and what one scene needs of it."""
+
+    def __init__(self, scene, *, convention, max_depth, shadows, ambient, hide_emitters, gradients=False):
+        self.scene = scene
+        self.needs = analyse(scene)
+        self.lights = Lights(scene)
+        self.surfaces = Surfaces(scene)
+        self.background = scene.environment()
+        self.course = convention == "course"
+        self.shadows = shadows
+        self.ambient = ambient
+        self.hide_background = hide_emitters
+        # A mirror of weight 0 still has a derivative.
+        self.faintest = FAINTEST if max_depth == -1 else -1 if gradients else 0
+        self.jit = dr.is_jit_v(mi.Float)
+
+        # How many surfaces of a path are shaded, and how many of its rays are traced: the
+        # physical convention looks for the background behind the last mirror, as `path` does.
+        self.unlimited = max_depth == -1
+        self.most_hits = MOST_BOUNCES + 1 if self.unlimited else max_depth - 1
+        self.most_rays = self.most_hits + (not self.course and self.background is not None)
+        self.most_rays = max(self.most_rays, 1)
+
+        # One context for each delta lobe that some BSDF has, one for all the rest.
+        self.mirrors = [
+            mi.BSDFContext(mi.TransportMode.Radiance, int(mi.BSDFFlags.Delta), i) for i in self.needs.delta_components
+        ]
+        self.follows = bool(self.mirrors) and self.most_rays > 1
+        self.smooth = _smooth_context()
+        self.mirrorless = _smooth_context(MIRRORLESS)
+        self.fades = self.needs.fading_mirrors and self.course and not self.unlimited
+
+    def trace(self, ray, active):
+        """Radiance along `ray`, and whether it meets a surface or the background."""
+        if not self.jit:
+            return self._trace_one(ray, active)
+        if not self.follows:
+            n = dr.width(ray.d)
+            radiance, seen, _ = self._step(ray, mi.Spectrum(1), dr.zeros(mi.UInt32, n), mi.Mask(active))
+            return radiance, seen
+        if self.needs.branches > 1:
+            return self._trace_tree(ray, active)
+        return self._trace_path(ray, active)
+
+    # Three ways to walk: one ray in scalar variants, paths, trees ---------------------------------
+
+    def _trace_one(self, ray, active):
+        radiance, valid = mi.Spectrum(0), False
+        waiting = [(ray, mi.Spectrum(1), 0)] if active else []
+        while waiting:
+            ray, beta, depth = waiting.pop()
+            light, seen, branches = self._step(ray, beta, depth, True)
+            radiance += light
+            valid = valid or (depth == 0 and seen)
+            for o, d, weight, goes_on in branches:
+                if goes_on:
+                    waiting.append((mi.Ray3f(o, d, ray.time, ray.wavelengths), weight, depth + 1))
+        return radiance, valid
+
+    @dr.syntax
+    def _trace_path(self, ray, active):
+        o, d, beta, depth, alive, radiance, valid = self._start(ray, active)
+        maxt, time, wavelengths = ray.maxt, ray.time, ray.wavelengths
+
+        while dr.hint(
+            alive != 0, max_iterations=self.most_rays, exclude=[maxt, time, wavelengths, ray, active], label="mirrors"
+        ):
+            here = mi.Ray3f(o, d, dr.select(depth == 0, maxt, dr.inf), time, wavelengths)
+            light, seen, branches = self._step(here, beta, depth, alive != 0)
+            radiance += light
+            valid = dr.select((depth == 0) & seen, mi.UInt32(1), valid)
+            o, d, beta, goes_on = self._only(branches)
+            alive = dr.select(goes_on, mi.UInt32(1), mi.UInt32(0))
+            depth += 1
+
+        return radiance, valid != 0
+
+    @dr.syntax
+    def _trace_tree(self, ray, active):
+        o, d, beta, depth, alive, radiance, valid = self._start(ray, active)
+        maxt, time, wavelengths = ray.maxt, ray.time, ray.wavelengths
+        waiting = dr.zeros(mi.UInt32, dr.width(alive))
+        room = min(self.most_rays, MOST_WAITING) * (self.needs.branches - 1)
+        stack_o, stack_d = dr.alloc_local(mi.Point3f, room), dr.alloc_local(mi.Vector3f, room)
+        stack_beta, stack_depth = dr.alloc_local(mi.Spectrum, room), dr.alloc_local(mi.UInt32, room)
+
+        while dr.hint(alive != 0, exclude=[maxt, time, wavelengths, ray, active], label="tree of mirrors"):
+            here = mi.Ray3f(o, d, dr.select(depth == 0, maxt, dr.inf), time, wavelengths)
+            light, seen, branches = self._step(here, beta, depth, alive != 0)
+            radiance += light
+            valid = dr.select((depth == 0) & seen, mi.UInt32(1), valid)
+            depth += 1
+
+            # Follow the faintest branch, and let the others wait.
+            o, d, beta, follow = branches[0]
+            for other in branches[1:]:
+                o, d, beta, follow, wait_o, wait_d, wait_beta, wait = _fainter((o, d, beta, follow), other)
+                stack_o.write(wait_o, waiting, wait)
+                stack_d.write(wait_d, waiting, wait)
+                stack_beta.write(wait_beta, waiting, wait)
+                stack_depth.write(depth, waiting, wait)
+                waiting += dr.select(wait, mi.UInt32(1), mi.UInt32(0))
+
+            # Where this path has ended, continue with one that waits.
+            take = ~follow & (waiting > 0)
+            waiting -= dr.select(take, mi.UInt32(1), mi.UInt32(0))
+            o = dr.select(take, stack_o.read(waiting, take), o)
+            d = dr.select(take, stack_d.read(waiting, take), d)
+            beta = dr.select(take, stack_beta.read(waiting, take), beta)
+            depth = dr.select(take, stack_depth.read(waiting, take), depth)
+            alive = dr.select(follow | take, mi.UInt32(1), mi.UInt32(0))
+
+        return radiance, valid != 0
+
+    def _start(self, ray, active):
+        """State of a walk. A Bool in the state of a differentiated loop aborts the process, so masks are numbers."""
+        n = dr.width(ray.d)
+        zero = dr.zeros(mi.UInt32, n)
+        alive = dr.select(active, mi.UInt32(1), mi.UInt32(0)) + zero
+        o, d = ray.o + dr.zeros(mi.Point3f, n), ray.d + dr.zeros(mi.Vector3f, n)
+        return o, d, mi.Spectrum(1) + dr.zeros(mi.Spectrum, n), zero, alive, dr.zeros(mi.Spectrum, n), mi.UInt32(zero)
+
+    @staticmethod
+    def _only(branches):
+        """The branches as one, where no lane has more than one of them."""
+        o, d, beta, goes_on = branches[0]
+        for other_o, other_d, other_beta, other in branches[1:]:
+            o, d, beta = dr.select(other, other_o, o), dr.select(other, other_d, d), dr.select(other, other_beta, beta)
+            goes_on = goes_on | other
+        return o, d, beta, goes_on
+
+    # One ray and the surface that it meets --------------------------------------------------------
+
+    def _step(self, ray, beta, depth, active):
+        """Traces `ray`, the `depth`-th of its path, of throughput `beta`.
+
+        Returns the light that it brings, whether it meets anything, and the rays that
+        go on: a list of (origin, direction, throughput, lanes).
+        """
+        si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=active)
+        hit = active & si.is_valid()
+        escaped = active & (hit == False)  # noqa: E712  (~ is no logical not on a Python bool)
+        light, seen = mi.Spectrum(0), hit
+        if self.background is not None:
+            escaped = escaped & (depth > 0) if self.hide_background else escaped
+            light = dr.select(escaped, beta * self.background.eval(si, escaped), 0)
+            seen = seen | escaped
+        if self.most_hits == 0 or not (self.jit or hit):
+            return light, seen, []
+
+        si.p = self.surfaces.refine(si, ray)
+        bsdf = si.bsdf()
+        shaded = hit & (depth < self.most_hits)
+        tolerance = self.surfaces.tolerance(si, shaded)
+        light = light + beta * self._shade(si, bsdf, tolerance, depth, shaded)
+        return light, seen, self._reflect(si, bsdf, tolerance, beta, depth, shaded) if self.follows else []
+
+    def _shade(self, si, bsdf, tolerance, depth, active):
+        """Light from the lights and the ambient term, toward the viewer."""
+        last = active & (depth == self.most_hits - 1) if self.fades else None
+        light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
+        if self.ambient is not None:
+            reflectance = bsdf.eval_diffuse_reflectance(si, active)
+            if self.fades:
+                # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.
+                context = mi.BSDFContext(
+                    mi.TransportMode.Radiance, int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS, 0xFFFFFFFF
+                )
+                normal = mi.Vector3f(0, 0, dr.sign(mi.Frame3f.cos_theta(si.wi)))
+                bare = mi.unpolarized_spectrum(bsdf.eval(context, si, normal, last)) * dr.pi
+                reflectance = dr.select(last, bare, reflectance)
+            ambient = self.ambient.value(si, active) * reflectance
+            light += mi.depolarizer(dr.select(active, ambient, 0))
+        if self.lights.count == 0:
+            return light
+        if self.lights.count == 1:
+            return light + self._from_light(0, si, bsdf, tolerance, last, active)
+        return light + self._from_lights(si, bsdf, tolerance, last, active)
+
+    @dr.syntax
+    def _from_lights(self, si, bsdf, tolerance, last, active):
+        count = self.lights.limit
+        light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
+        i = mi.UInt32(0)
+        while dr.hint(i < count, max_iterations=-1, exclude=[count], label="lights"):
+            light += self._from_light(i, si, bsdf, tolerance, last, active)
+            i += 1
+        return light
+
+    def _from_light(self, i, si, bsdf, tolerance, last, active):
+        direction, distance, intensity, active = self.lights.sample(i, si, active)
+        wo = si.to_local(direction)
+        if last is None:
+            value = bsdf.eval(self.smooth, si, wo, active)
+        else:
+            value = bsdf.eval(self.smooth, si, wo, active & (last == False))  # noqa: E712
+            value += bsdf.eval(self.mirrorless, si, wo, active & last)
+        value = si.to_world_mueller(value, -wo, si.wi)
+        if self.course:
+            intensity = intensity * dr.pi
+        elif self.lights.any_positional:
+            intensity = intensity * dr.select(distance < dr.inf, 1 / dr.square(distance), 1)
+        value = value * mi.depolarizer(intensity)
+        active = active & (dr.max(dr.abs(mi.unpolarized_spectrum(value))) > 0)
+        if self.shadows:
+            shadow = self.surfaces.shadow_ray(si, direction, distance, tolerance)
+            active = active & (self.scene.ray_test(shadow, coherent=False, active=active) == False)  # noqa: E712
+        return dr.select(active, value, 0)
+
+    def _reflect(self, si, bsdf, tolerance, beta, depth, active):
+        """The rays that go on from `si`, one for each kind of delta lobe."""
+        active = active & (depth + 1 < self.most_rays)
+        branches = []
+        for context in self.mirrors:
+            bs, weight = bsdf.sample(context, si, 0, mi.Point2f(0), active)
+            onward = beta * si.to_world_mueller(weight, -bs.wo, si.wi)
+            strength = dr.max(mi.unpolarized_spectrum(onward))
+            goes_on = active & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) & (strength > self.faintest)
+            d = si.to_world(bs.wo)
+            branches.append((self.surfaces.leave(si, d, tolerance)[0], d, onward, goes_on))
+        return branches
+
+
+def _smooth_context(more: int = 0):
+    """Context of all lobes but the delta ones."""
+    return mi.BSDFContext(mi.TransportMode.Radiance, int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Delta) | more, 0xFFFFFFFF)
+
+
+def _fainter(a, b):
+    """Of two branches the one to follow, (o, d, beta, lanes), and the one to let wait."""
+    power_a, power_b = (dr.max(mi.unpolarized_spectrum(beta)) for beta in (a[2], b[2]))
+    first = a[3] & (~b[3] | (power_a <= power_b))
+    follow = [dr.select(first, x, y) for x, y in zip(a[:3], b[:3], strict=True)]
+    wait = [dr.select(first, y, x) for x, y in zip(a[:3], b[:3], strict=True)]
+    return *follow, a[3] | b[3], *wait, a[3] & b[3]

@@ -1,0 +1,185 @@
+"""The lecture's ray tracer in float64 NumPy: slow, plain, and written from the formulas alone.
+
+No Mitsuba, no Dr.Jit, nothing of the package. Spheres, point and directional lights without
+falloff, shadows, mirrors; one ray through each pixel's centre.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+WHITE = (1.0, 1.0, 1.0)
+BLACK = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Sphere:
+    center: tuple
+    radius: float
+    kd: tuple = WHITE
+    ks: tuple = BLACK
+    p: float = 1.0
+    km: float = 0.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """A point light at `position`, or a directional one with the direction `toward` it."""
+
+    intensity: float
+    position: tuple | None = None
+    toward: tuple | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Eye, view direction and up; the image is one unit wide at distance `focal`, where seeing begins."""
+
+    eye: tuple = (0, 0, 0)
+    view: tuple = (0, 0, -1)
+    up: tuple = (0, 1, 0)
+    focal: float = 1.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    spheres: list
+    lights: list = field(default_factory=list)
+    camera: Camera = field(default_factory=Camera)
+    background: tuple = BLACK
+    ambient: float = 0.0
+    lobe: str = "blinnphong"
+    bounces: int = 8
+
+
+def normalize(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def dot(a, b):
+    return np.sum(a * b, axis=-1)
+
+
+def render(scene, width=490, height=490):
+    """Linear image, (height, width, 3)."""
+    camera = scene.camera
+    back = -normalize(np.array(camera.view, float))
+    right = normalize(np.cross(camera.up, back))
+    up = np.cross(back, right)
+    x = (np.arange(width) + 0.5) / width - 0.5
+    y = (0.5 - (np.arange(height) + 0.5) / height) * height / width
+    plane = x[None, :, None] * right + y[:, None, None] * up - camera.focal * back
+    d = normalize(plane).reshape(-1, 3)
+    o = np.broadcast_to(np.array(camera.eye, float), d.shape)
+    start = np.linalg.norm(plane, axis=-1).reshape(-1)
+    return radiance(scene, o, d, scene.bounces, start).reshape(height, width, 3)
+
+
+def intersect(scene, o, d, start):
+    """Distance to and index of the nearest sphere beyond `start`; infinity and -1 where there is none."""
+    nearest, index = np.full(len(o), np.inf), np.full(len(o), -1)
+    for i, sphere in enumerate(scene.spheres):
+        oc = o - np.array(sphere.center)
+        b = dot(oc, d)
+        disc = b * b - (dot(oc, oc) - sphere.radius**2)
+        root = np.sqrt(np.maximum(disc, 0))
+        for t in (-b + root, -b - root):
+            closer = (disc >= 0) & (t > start) & (t < nearest)
+            nearest, index = np.where(closer, t, nearest), np.where(closer, i, index)
+    return nearest, index
+
+
+def radiance(scene, o, d, bounces, start):
+    image = np.tile(np.array(scene.background, float), (len(o), 1))
+    if len(o) == 0:
+        return image
+    t, index = intersect(scene, o, d, start)
+    for i, sphere in enumerate(scene.spheres):
+        hit = index == i
+        p = o[hit] + t[hit, None] * d[hit]
+        n = (p - np.array(sphere.center)) / sphere.radius
+        v = -d[hit]
+        color = local(scene, sphere, p, n, v)
+        if sphere.km > 0 and bounces > 0:
+            r = 2 * dot(n, v)[:, None] * n - v
+            mirrored = radiance(scene, p + 1e-9 * sphere.radius * n, r, bounces - 1, 0.0)
+            color = sphere.km * mirrored + (1 - sphere.km) * color
+        image[hit] = color
+    return image
+
+
+def local(scene, sphere, p, n, v):
+    """Ambient, diffuse and specular light of all lights at the points `p`."""
+    color = np.tile(scene.ambient * np.array(sphere.kd, float), (len(p), 1))
+    front = dot(n, v) > 0
+    for light in scene.lights:
+        if light.position is not None:
+            toward = np.array(light.position, float) - p
+            distance = np.linalg.norm(toward, axis=-1)
+            l = toward / distance[:, None]  # noqa: E741
+        else:
+            l = np.broadcast_to(normalize(np.array(light.toward, float)), p.shape)  # noqa: E741
+            distance = np.full(len(p), np.inf)
+        t, _ = intersect(scene, p + 1e-9 * sphere.radius * n, l, 0.0)
+        lit = front & (dot(n, l) > 0) & (t >= distance)
+        color += np.where(lit, light.intensity, 0)[:, None] * unit_point(sphere, n, l, v, scene.lobe)
+    return color
+
+
+def unit_point(material, n, l, v, lobe):  # noqa: E741
+    """k_d max(0, n.l) + k_s lobe^p for light from `l` seen from `v`."""
+    if lobe == "phong":
+        r = 2 * dot(n, l)[..., None] * n - l
+        cos = dot(r, v)
+    else:
+        cos = dot(n, normalize(v + l))
+    diffuse = np.maximum(dot(n, l), 0)[..., None] * np.array(material.kd)
+    return diffuse + np.maximum(cos, 0)[..., None] ** material.p * np.array(material.ks)
+
+
+# The course's scenes, as the contract lists them ------------------------------------------------
+
+BLUE = (0.0, 0.0, 1.0)
+FLOOR = ((0, -5001, 0), 5000)
+
+COURSE = {
+    1: Scene([Sphere((0, 0, -5), 1, (0.73, 0, 0.17))], ambient=1.0, background=(0.95, 0.95, 0.95)),
+    2: Scene([Sphere((2, 0, -8), 1), Sphere((-2, 0, -8), 2, BLUE)], [Light(1, toward=(1, 0.5, -0.1))]),
+    3: Scene([Sphere((-2, 1, -8), 1), Sphere((2, 1, -8), 1)], [Light(1, (0, 5, -8.5))]),
+    4: Scene(
+        [
+            Sphere((-2, -1, -8), 1, WHITE, WHITE, 10),
+            Sphere((2, -1, -8), 1, WHITE, WHITE, 10),
+            Sphere((-1, 1, -8), 1, BLUE, WHITE, 10),
+            Sphere((1, 1, -8), 1, BLUE, WHITE, 10),
+            Sphere((0, -1, -8), 1, BLUE, (1, 0, 0), 100),
+            Sphere(*FLOOR),
+        ],
+        [Light(0.8, (0, 4, -8)), Light(0.2, (0, 0, 0))],
+    ),
+    5: Scene(
+        [
+            Sphere((-1, 0, -6), 0.5),
+            Sphere((1, 0, -5), 0.5, km=0.4),
+            Sphere((-1, 0, -4), 0.5),
+            Sphere(*FLOOR, km=0.5),
+        ],
+        [Light(0.6, toward=(1, 1, 0)), Light(0.4, (0, 0, 0))],
+    ),
+    6: Scene(
+        [
+            Sphere((-1, -1.1, -3), 0.5, (1, 0, 0), WHITE, 10),
+            Sphere((-0.5, -1, -4), 0.5, (0, 1, 0), WHITE, 10),
+            Sphere((0, -0.9, -5), 0.5, BLUE, WHITE, 10),
+            Sphere((5, -1, -4), 4, km=0.6),
+            Sphere(*FLOOR, km=0.5),
+        ],
+        [Light(0.6, (1, 10, -4)), Light(0.4, (0, 0, 0))],
+    ),
+}
+
+CAMERAS = {
+    1: Camera(),
+    2: Camera(eye=(20, 4, 10), view=(-21, -4, -15), focal=8),
+    3: Camera(eye=(-1, 0.8, -1.2), view=(1, -1, -1), focal=0.3),
+}
