@@ -19,6 +19,8 @@ from . import needs
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
 
+WHITTED = "Whitted"
+
 
 class SceneError(ValueError):
     """A scene that cannot be loaded or rendered as asked."""
@@ -31,6 +33,7 @@ class LoadedScene:
     path: Path
     scene: object
     integrator: str
+    """Name of its class."""
     seconds: float
 
     def sensor(self, camera: int):
@@ -63,21 +66,21 @@ def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
     path = Path(path)
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file")
+    defines = dict(defines or {})
     try:
-        config = mi.parser.ParserConfig(mi.variant())
-        state = mi.parser.parse_file(config, str(path), **(defines or {}))
-        integrator = next((n.props.plugin_name() for n in state.nodes if n.type == mi.ObjectType.Integrator), "")
-        if integrator == "whitted":
-            _check_lights(state)
-        mi.parser.transform_all(config, state)
-        loaded = mi.parser.instantiate(config, state)
+        scene = mi.load_file(str(path), **defines)
     except RuntimeError as error:
         raise SceneError(explain(error, path)) from None
-    scene = loaded[0] if isinstance(loaded, list) else loaded
     if not isinstance(scene, mi.Scene):
         raise SceneError(f"{path}: the file describes no <scene>")
-    if not scene.integrator():
+    if scene.integrator() is None:
         raise SceneError(f'{path}: the scene has no integrator; add <integrator type="whitted"/>')
+    integrator = type(scene.integrator()).__name__
+    if integrator == WHITTED:
+        try:
+            needs.analyse(scene)
+        except needs.UnsupportedScene as error:
+            raise SceneError(_locate(error, path, defines)) from None
     return LoadedScene(path, scene, integrator, time.perf_counter() - start)
 
 
@@ -109,7 +112,7 @@ def render(
     sensor = loaded.sensor(camera)
     spp = spp or sensor.sampler().sample_count()
     try:
-        lights = needs.analyse(scene).lights if loaded.integrator == "whitted" else len(scene.emitters())
+        lights = needs.analyse(scene).lights if loaded.integrator == WHITTED else len(scene.emitters())
         with _CompileTime() as compiling:
             start = time.perf_counter()
             image = None
@@ -141,11 +144,16 @@ def explain(error: BaseException, path: Path) -> str:
     return f"{file}, line {line[2]}: {text}" if line else f"{file}: {text}"
 
 
-def _check_lights(state) -> None:
+def _locate(error: needs.UnsupportedScene, path: Path, defines: Mapping[str, str]) -> str:
+    """`error` with the line of the emitter that it is about; the loaded scene no longer knows it."""
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_file(config, str(path), **defines)
     for node in state.nodes:
         name = node.props.plugin_name()
         if node.type == mi.ObjectType.Emitter and name not in needs.LIGHTS + needs.BACKGROUNDS:
-            raise RuntimeError(f"At {mi.parser.file_location(state, node)}: {needs.refusal(name)}")
+            location = mi.parser.file_location(state, node)
+            return explain(RuntimeError(f"At {location}: {needs.refusal(name)}"), path)
+    return f"{path}: {error}"
 
 
 def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:
@@ -156,7 +164,7 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
 
     if width * height * spp <= SAMPLES_PER_PASS:
         yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif loaded.integrator == "whitted" and box:
+    elif loaded.integrator == WHITTED and box:
         rows = max(SAMPLES_PER_PASS // (width * spp), 1)
         yield from _bands(loaded.scene, sensor, spp, seed, rows)
     elif sensor.sampler().class_name() == "IndependentSampler":
