@@ -39,7 +39,8 @@ class CameraSamples:
             )
         self.sampler = None
         if self.grid is None or mi.is_spectral or self.moves or self.has_lens:
-            sampler.set_samples_per_wavefront(spp if self.jit else 1)
+            if self.jit:
+                sampler.set_samples_per_wavefront(spp)
             sampler.seed(seed, self.count if self.jit else 1)
             self.sampler = sampler
 

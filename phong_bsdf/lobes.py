@@ -18,10 +18,12 @@ with finite derivatives everywhere.
 
 import drjit as dr
 
-# Below this, a cosine is treated as this: its square, the reciprocal of that and
-# their derivatives stay finite in float32. There tan(theta) > 1e17: for every
-# p > 1e-10 the condition number p tan(theta) has left no digit to be lost.
-TINY = 1e-18
+# Below this, a cosine is treated as this: tan(theta)^2 and its derivatives stay finite
+# in float32. There tan(theta) > 1e8: the condition number leaves no digit to be lost.
+TINY = 1e-9
+
+# Densities are capped here: a float32 exponent of 1e38 would otherwise give infinity.
+LARGEST = 1e38
 
 # log(xi) stays finite at xi = 0; float32's smallest normal number is 1.2e-38.
 SMALLEST_XI = 1.2e-38
@@ -48,14 +50,16 @@ def blinnphong(wi, wo, p):
 
 def phong_pdf(wi, wo, p):
     """Density per solid angle of `sample_phong`: (p + 1) / (2 pi) (r.v)^p."""
-    return (p + 1) * dr.inv_two_pi * phong(wi, wo, p)
+    tan2, cos = _phong_angle(wi, wo)
+    # Samples reach a right angle from the axis and no further, also for p = 0.
+    return dr.select(cos > 0, dr.minimum((p + 1) * dr.inv_two_pi, LARGEST) * _cos_power(tan2, p), 0)
 
 
 def blinnphong_pdf(wi, wo, p):
     """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h)."""
     tan2, length = _blinnphong_angle(wi, wo)
     # For unit wi and wo, wo.h = |wi + wo| / 2.
-    return (p + 1) * dr.inv_two_pi * _cos_power(tan2, p) / (2 * length)
+    return dr.minimum((p + 1) * dr.inv_two_pi * _cos_power(tan2, p) / (2 * length), LARGEST)
 
 
 def sample_phong(wi, p, xi):

@@ -26,33 +26,28 @@ class Surfaces:
     """The sizes of the shapes of `scene`, and hits and ray origins that respect them."""
 
     def __init__(self, scene):
-        self.jit = dr.is_jit_v(mi.Float)
         shapes = scene.shapes()
         extents = [_extent(shape) for shape in shapes]
-        self.largest = max(extents, default=1.0)
-        smallest = min(extents, default=1.0)
-        # One number serves all shapes if they are of one order of magnitude.
-        self.table = self._tabulate(shapes, extents) if self.largest > 8 * smallest else None
-        # Scalar variants intersect spheres in double precision.
-        self.spheres = [_Sphere(s) for s in shapes if _is_large(s, smallest, scene)] if self.jit else []
+        self.extent = PerShape(shapes, extents)
+        self.curvature = PerShape(shapes, [_cylinder_curvature(shape) for shape in shapes])
+        self.spheres = [_Sphere(shape) for shape in shapes if _is_large(shape, min(extents), scene)]
 
     def refine(self, si, ray):
         """The hit point of `ray`, moved along it onto the surface where that is a large sphere."""
         p = si.p
         for sphere in self.spheres:
-            p = dr.select(si.shape == sphere.pointer, p + ray.d * sphere.correction(p, ray.d), p)
+            # Not from si.p, which scalar variants have moved off the ray.
+            t = si.t + sphere.correction(ray(si.t), ray.d)
+            p = dr.select(si.shape == sphere.shape, ray(t), p)
         return p
 
     def tolerance(self, si, active):
         """Bound on the distance between the hit `si` and the surface that ray tests see, in world units."""
-        if self.table is None:
-            extent = self.largest
-        elif not self.jit:
-            extent = self.table.get(si.shape.ptr, self.largest)
-        else:
-            index = dr.reinterpret_array(mi.UInt32, si.shape)
-            extent = dr.gather(mi.Float, self.table, dr.minimum(index, dr.width(self.table) - 1), active)
-        return ROUNDINGS * (dr.max(dr.abs(si.p)) + extent)
+        size = dr.max(dr.abs(si.p)) + self.extent.at(si, active)
+        if self.curvature.largest > 0:
+            # Mitsuba solves a cylinder's quadratic from where the ray starts: the error grows with the distance squared.
+            size += dr.square(si.t) * self.curvature.at(si, active)
+        return ROUNDINGS * size
 
     @staticmethod
     def leave(si, direction, tolerance):
@@ -68,14 +63,33 @@ class Surfaces:
         maxt = dr.maximum(distance * (1 - 2 * ROUNDINGS) - along - tolerance, 0)
         return mi.Ray3f(o, direction, maxt, si.time, si.wavelengths)
 
-    def _tabulate(self, shapes, extents):
+
+class PerShape:
+    """A positive number for each shape; one for all where they are of one order of magnitude."""
+
+    def __init__(self, shapes, values):
+        self.jit = dr.is_jit_v(mi.Float)
+        self.largest = max(values, default=1.0)
+        self.table = None
+        if self.largest > 8 * min(values, default=1.0):
+            self.table = self._tabulate(shapes, values)
+
+    def at(self, si, active):
+        """The number of the shape that was hit; shapes not listed (the inside of instances) have the largest."""
+        if self.table is None:
+            return self.largest
         if not self.jit:
-            return {shape.ptr: extent for shape, extent in zip(shapes, extents, strict=True)}
+            return self.table.get(si.shape.ptr, self.largest)
+        index = dr.minimum(dr.reinterpret_array(mi.UInt32, si.shape), dr.width(self.table) - 1)
+        return dr.gather(mi.Float, self.table, index, active)
+
+    def _tabulate(self, shapes, values):
+        if not self.jit:
+            return {shape.ptr: value for shape, value in zip(shapes, values, strict=True)}
         ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0] for shape in shapes]
-        # Shapes that are not listed (the inside of instances) count as large.
         table = [self.largest] * (max(ids) + 2)
-        for i, extent in zip(ids, extents, strict=True):
-            table[i] = extent
+        for i, value in zip(ids, values, strict=True):
+            table[i] = value
         return mi.Float(table)
 
 
@@ -87,11 +101,13 @@ class _Sphere:
     """
 
     def __init__(self, shape):
+        jit = dr.is_jit_v(mi.Float)
+        double = dr.float64_array_t(mi.Float) if jit else float
         to_world = mi.traverse(shape)["to_world"]
-        self.pointer = mi.ShapePtr(shape)
+        self.shape = mi.ShapePtr(shape) if jit else shape
         self.center = to_world @ mi.Point3f(0)
-        center, edge = (dr.float64_array_t(mi.Point3f)(x) for x in (self.center, to_world @ mi.Vector3f(1, 0, 0)))
-        self.constant = mi.Float(dr.squared_norm(center) - dr.squared_norm(edge))
+        radius = to_world @ mi.Vector3f(1, 0, 0)
+        self.constant = mi.Float(sum(double(c) ** 2 - double(r) ** 2 for c, r in zip(self.center, radius, strict=True)))
 
     def correction(self, p, d):
         """Distance along the unit vector `d` from `p`, close to the sphere, to the sphere."""
@@ -109,12 +125,23 @@ def _extent(shape) -> float:
     return max(max(abs(box.min[i]), abs(box.max[i]), box.max[i] - box.min[i]) for i in range(3))
 
 
+def _cylinder_curvature(shape) -> float:
+    """1 / radius of a cylinder, 0 for other shapes."""
+    if shape.class_name() != "Cylinder":
+        return 0.0
+    return 1 / _length(mi.traverse(shape)["to_world"] @ mi.Vector3f(1, 0, 0))
+
+
 def _is_large(shape, smallest: float, scene) -> bool:
     if shape.class_name() != "Sphere":
         return False
     box = shape.bbox()
     radius = 0.5 * (box.max[0] - box.min[0])
-    center = 0.5 * (box.max + box.min)
-    cameras = [sensor.world_transform().translation() for sensor in scene.sensors()]
-    distances = [abs(float(dr.norm(mi.ScalarVector3f(*[float(x[0]) for x in camera]) - center)) - radius) for camera in cameras]
+    center = mi.Point3f(0.5 * (box.max + box.min))
+    distances = [abs(_length(s.world_transform().translation() - center) - radius) for s in scene.sensors()]
     return radius > LARGE * min([smallest, *distances])
+
+
+def _length(v) -> float:
+    length = dr.norm(v)
+    return length[0] if dr.is_jit_v(length) else length

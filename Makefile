@@ -1,0 +1,39 @@
+# `make demo` and `make test` need python3 (3.10 or newer, with venv) and the package index, nothing else.
+
+PYTHON ?= python3
+BIN = .venv/bin
+READY = .venv/ready
+LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml)) out/falloff-physical.png
+
+.PHONY: demo test check clean
+
+demo: $(LECTURE)
+	@echo "The lecture's pictures are in $(CURDIR)/out"
+
+test: $(READY)
+	@$(BIN)/python -m pytest
+
+check: $(READY)
+	@$(BIN)/python -m pip install -q --group lint
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+clean:
+	rm -rf .venv out
+
+out/falloff-physical.png: scenes/lecture/falloff.xml $(READY)
+	@mkdir -p out
+	@$(BIN)/phong-bsdf render $< -o $@ -D convention=physical -D intensity=91.6
+
+out/%.png: scenes/lecture/%.xml $(READY)
+	@mkdir -p out
+	@$(BIN)/phong-bsdf render $< -o $@
+
+$(READY): pyproject.toml
+	@echo "Installing into .venv (once)"
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' \
+	    || { echo "Python 3.10 or newer is needed; say which with: make PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -m venv .venv \
+	    || { rm -rf .venv; echo "This Python has no venv. On Debian and Ubuntu: apt install python3-venv"; exit 1; }
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --upgrade 'pip>=25.1'
+	@$(BIN)/python -m pip install -q -e . --group test
+	@touch $@

@@ -1,0 +1,29 @@
+"""Every test starts in llvm_ad_rgb, and leaves no scene behind: live BSDFs slow every later kernel."""
+
+import gc
+
+import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
+
+import mitsuba as mi  # isort: skip
+import pytest
+
+# For what test modules build when they are imported.
+mi.set_variant("llvm_ad_rgb")
+
+CPU_VARIANTS = [name for name in mi.variants() if name.startswith(("scalar", "llvm"))]
+
+
+@pytest.fixture(autouse=True)
+def _fresh():
+    mi.set_variant("llvm_ad_rgb")
+    mi.set_log_level(mi.LogLevel.Error)
+    yield
+    gc.collect()
+
+
+@pytest.fixture(params=CPU_VARIANTS)
+def any_variant(request):
+    """Each CPU variant of the wheel in turn."""
+    mi.set_variant(request.param)
+    mi.set_log_level(mi.LogLevel.Error)
+    return request.param
