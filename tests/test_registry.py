@@ -88,7 +88,8 @@ def test_reload(variant):
     """Reloading the package, as Mitsuba 3.10 does at each variant, keeps the plugins and their classes."""
     now = RELOAD
     if variant:
-        before, after = "old = phong_bsdf.plugins.phong.Phong\n", "assert phong_bsdf.plugins.phong.Phong is old\n"
+        before = "old = phong_bsdf.plugins.phong.Phong\n"
+        after = "assert phong_bsdf.plugins.phong.Phong is old\n"
         now = set_variant(variant) + before + RELOAD + after + CHECK
     later = [set_variant(name) + CHECK for name in ("llvm_ad_mono", "scalar_rgb", "llvm_ad_rgb")]
     run(PACKAGE + MITSUBA + now + "".join(later))

@@ -6,7 +6,6 @@ import mitsuba as mi
 from phong_bsdf.needs import MIRRORLESS
 from phong_bsdf.parameters import Parameter
 
-
 ALL_COMPONENTS = 0xFFFFFFFF  # BSDFContext.component's default
 
 
