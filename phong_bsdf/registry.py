@@ -33,8 +33,13 @@ def register() -> None:
     _on_variant_change(None, mi.variant())
 
 
-def _on_variant_change(_old: str | None, new: str | None) -> None:
-    llvm.check(new or "")
+def _on_variant_change(old: str | None, new: str | None) -> None:
+    try:
+        llvm.check(new or "")
+    except llvm.LLVMError:
+        # Mitsuba has switched already: leave no variant active that would end the process.
+        mi.set_variant(old or "scalar_rgb")
+        raise
     _load(new)
 
 

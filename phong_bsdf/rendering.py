@@ -115,8 +115,7 @@ def render(
         lights = needs.analyse(scene).lights if loaded.integrator == WHITTED else len(scene.emitters())
         with _CompileTime() as compiling:
             start = time.perf_counter()
-            image = None
-            for image, share in _passes(loaded, sensor, spp, seed):
+            for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
                 on_progress(share)
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:

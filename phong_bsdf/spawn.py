@@ -45,7 +45,7 @@ class Surfaces:
         """Bound on the distance between the hit `si` and the surface that ray tests see, in world units."""
         size = dr.max(dr.abs(si.p)) + self.extent.at(si, active)
         if self.curvature.largest > 0:
-            # Mitsuba solves a cylinder's quadratic from where the ray starts: the error grows with the distance squared.
+            # A cylinder is intersected from where the ray starts: its error grows with the distance squared.
             size += dr.square(si.t) * self.curvature.at(si, active)
         return ROUNDINGS * size
 

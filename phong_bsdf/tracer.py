@@ -247,7 +247,9 @@ class Tracer:
 
 def _smooth_context(more: int = 0):
     """Context of all lobes but the delta ones."""
-    return mi.BSDFContext(mi.TransportMode.Radiance, int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Delta) | more, 0xFFFFFFFF)
+    return mi.BSDFContext(
+        mi.TransportMode.Radiance, int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Delta) | more, 0xFFFFFFFF
+    )
 
 
 def _fainter(a, b):

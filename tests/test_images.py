@@ -63,6 +63,10 @@ def test_unwritable_paths_are_named_before_work_is_done(tmp_path):
     """`check_writable` says what is wrong, and leaves no trace when nothing is."""
     images.check_writable(tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
-    for path, message in ((tmp_path / "no/a.png", "No such file"), (tmp_path / "a.jpg", "must end in"), (tmp_path, "end in")):
+    for path, message in (
+        (tmp_path / "no/a.png", "No such file"),
+        (tmp_path / "a.jpg", "must end in"),
+        (tmp_path, "end in"),
+    ):
         with pytest.raises(ValueError, match=message):
             images.check_writable(path)

@@ -122,9 +122,7 @@ def povray_scene(scene):
         f"         up y right {WIDTH / HEIGHT!r}*x direction {camera.focal * WIDTH / HEIGHT!r}*z",
         f"         look_at {vector(target)} }}",
     ]
-    lines += [
-        f"light_source {{ {vector(light.position)}, rgb {light.intensity!r} }}" for light in scene.lights
-    ]
+    lines += [f"light_source {{ {vector(light.position)}, rgb {light.intensity!r} }}" for light in scene.lights]
     for sphere in scene.spheres:
         ks = (1 - sphere.km) * sphere.ks[0]
         highlight = {

@@ -132,6 +132,7 @@ def test_mirrors_end_where_the_course_ends_them():
 
 def corridor(km, below, above):
     """Two mirrors that face each other, with the camera between them looking straight down."""
+
     def half(kd):
         return {"type": "mirrorblend", "km": km, "nested": {"type": "phong", "kd": kd, "ks": 0}}
 
@@ -202,7 +203,7 @@ def test_lights_add_up():
 
 
 def test_falloff_is_the_physical_conventions():
-    """A point light at height h over a Lambertian floor: I in the course's picture, I / (pi h^2) in the physical one."""
+    """A point light at height h over a Lambertian floor: I in the course, I / (pi h^2) in the physical convention."""
     for height in (0.5, 2.0):
         objects = {"floor": floor({"type": "phong", "kd": 0.7, "ks": 0}), "light": point([0, height, 0], 3.0)}
         sensor = look([0, 1, 0], [0, 0, 0], width=1, fov=1e-3)
@@ -232,6 +233,7 @@ def test_grid_of_samples():
 @pytest.mark.parametrize("sampler", ("independent", "ldsampler", "multijitter"))
 def test_square_sample_counts_ignore_the_sampler(sampler):
     """No random number reaches the picture: sampler and seed change nothing, and neither does a second run."""
+
     def picture(spp, seed):
         sensor = {**look([0, 2, 2], [0, 0, 0]), "sampler": {"type": sampler, "sample_count": spp}}
         return render(scene(sensor=sensor, floor=floor({"type": "phong"}), light=point([1, 1, 1]),
@@ -330,9 +332,9 @@ def test_mirrors_see_the_background_as_in_path(max_depth):
 @pytest.mark.parametrize("bsdf", ("dielectric", "thindielectric", "plastic", "conductor"))
 def test_native_mirrors_match_path_on_average(bsdf):
     """One ray through a ball before a background of two colours: the tree is what `path` draws at random."""
-    sky = np.zeros((2, 1, 3), np.float32) + [[[0.2, 0.5, 1]], [[1, 0.6, 0.1]]]
+    sky = np.array([[[0.2, 0.5, 1]], [[1, 0.6, 0.1]]], np.float32)
     objects = {
-        "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32))},
+        "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky)},
         "ball": sphere([0, 0, 0], 1.0, {"type": bsdf, **({"diffuse_reflectance": 0.0} if bsdf == "plastic" else {})}),
     }
     sensor = look([0.2, 1, 4], [0.45, 0.3, 0], width=1, fov=1e-4)

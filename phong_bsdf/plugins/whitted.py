@@ -15,6 +15,7 @@ if IS_JIT:
 else:
     Base = mi.SamplingIntegrator
 
+
 class Whitted(Base):
     r"""A Whitted ray tracer, deterministic, with the lecture's conventions.
 
