@@ -11,6 +11,9 @@ import click
 from . import __version__, llvm
 
 
+LARGEST_SIDE = 65536
+
+
 class Size(click.ParamType):
     """`640x480`."""
 
@@ -18,8 +21,8 @@ class Size(click.ParamType):
 
     def convert(self, value, param, ctx):
         sides = str(value).lower().split("x")
-        if len(sides) != 2 or not all(side.isdigit() and int(side) > 0 for side in sides):
-            self.fail(f"'{value}' is no size; write it as 640x480", param, ctx)
+        if len(sides) != 2 or not all(side.isdigit() and 0 < int(side) <= LARGEST_SIDE for side in sides):
+            self.fail(f"'{value}' is no size; write it as 640x480, sides up to {LARGEST_SIDE}", param, ctx)
         return int(sides[0]), int(sides[1])
 
 
@@ -104,8 +107,43 @@ def doctor():
         click.echo(f"{'llvm_ad_rgb':24}works")
         return
     reason = child.stderr.strip().rsplit("\n", 1)[-1] or f"the process ended with code {child.returncode}"
-    click.echo(f"{'llvm_ad_rgb':24}does not work: {reason}\n{llvm.REMEDY}")
+    click.echo(f"{'llvm_ad_rgb':24}does not work: {reason}")
+    if llvm.REMEDY not in reason:
+        click.echo(llvm.REMEDY)
     sys.exit(1)
+
+
+@main.command()
+@click.option("-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
+              help="Folder for stability.csv, .json, .txt and plots (.svg, with matplotlib).")  # fmt: skip
+@click.option("--quick", is_flag=True, help="Fewer inputs; under 30 seconds.")
+@click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the inputs.")
+@click.option("-m", "--mode", "variant", help="Mitsuba variant, a JIT one. Default: llvm_ad_rgb.")
+@click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
+def stability(folder, quick, seed, variant, threads):
+    """Find the worst float32 error of the lobes at each exponent, beside the naive formulas. Exit 1: a bar is missed."""
+    with _errors():
+        _start(variant or "llvm_ad_rgb", threads, verbose=False)
+        import drjit as dr
+        import mitsuba as mi
+
+        from . import stability as sweeps
+        from .report import stability as report
+
+        if not dr.is_jit_v(mi.Float):
+            raise ValueError(f"stability: needs a JIT variant such as llvm_ad_rgb, got '{variant}'")
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        with _progress() as show:
+            cases = sweeps.QUICK_CASES if quick else sweeps.CASES
+            rows = list(sweeps.sweep(cases=cases, seed=seed, on_progress=lambda share: show("sweeping", share)))
+        written = report.write(folder, rows) if folder else []
+    click.echo(report.table(rows), nl=False)
+    if written:
+        click.echo(f"\nWritten: {', '.join(map(str, written))}")
+    missed = sum(not row.passed for row in rows)
+    click.echo(f"\n{len(rows) - missed} of {len(rows)} bars met; C = error / (2^-24 (1 + condition number))")
+    sys.exit(1 if missed else 0)
 
 
 def _start(variant: str | None, threads: int | None, verbose: bool) -> None:
@@ -119,7 +157,13 @@ def _start(variant: str | None, threads: int | None, verbose: bool) -> None:
             click.echo(f"Warning: no usable LLVM, so scalar_rgb is used, which is very slow. {llvm.REMEDY}", err=True)
     if variant not in mi.variants():
         raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
-    mi.set_variant(variant)
+    try:
+        mi.set_variant(variant)
+    except llvm.LLVMError:
+        raise
+    except ImportError as error:
+        remedy = llvm.REMEDY if variant.startswith("llvm") else "Its backend was not found on this machine."
+        raise ValueError(f"the variant '{variant}' does not work here: {str(error).split('! ')[0]}. {remedy}") from None
     mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Error)
     # With a single thread Mitsuba's bitmap textures wait for ever.
     dr.set_thread_count(max(2, threads or os.cpu_count() or 2))
@@ -138,6 +182,9 @@ def _errors():
         yield
     except (ValueError, OSError, ImportError) as error:
         click.echo(f"Error: {error}", err=True)
+        sys.exit(2)
+    except MemoryError:
+        click.echo("Error: the picture does not fit into memory", err=True)
         sys.exit(2)
 
 

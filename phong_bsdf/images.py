@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 FORMATS = (".exr", ".png")
+CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
 
 
 def check_writable(path: Path) -> None:
@@ -30,18 +31,24 @@ def check_writable(path: Path) -> None:
 
 
 def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a linear image of shape (height, width, channels), channels 1, 3 or 4.
+    """Write a linear image of shape (height, width, channels), channels Y, YA, RGB or RGBA.
 
     EXR holds it as it is (32-bit float), with `metadata` as string attributes. PNG holds
-    round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding.
+    round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding. Raises OSError
+    where the file cannot be written in full.
     """
     path = Path(path)
     image = np.asarray(image, np.float32)
+    if image.shape[2] not in CHANNELS:
+        raise ValueError(f"'{path}': an image of {image.shape[2]} channels cannot be written, only Y, YA, RGB or RGBA")
     with _whole(path) as temporary:
-        if path.suffix.lower() == ".exr":
-            _write_exr(temporary, image, metadata or {})
-        else:
-            _write_png(temporary, image if linear else _srgb(image))
+        try:
+            if path.suffix.lower() == ".exr":
+                _write_exr(temporary, image, metadata or {})
+            else:
+                _write_png(temporary, image if linear else _srgb(image))
+        except RuntimeError as error:
+            raise OSError(f"'{path}' could not be written: {error}") from None
 
 
 def read_exr(path: Path) -> np.ndarray:
@@ -54,6 +61,12 @@ def read_exr(path: Path) -> np.ndarray:
         return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], axis=-1)
 
 
+def replace_file(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with _whole(Path(path)) as temporary:
+        Path(temporary).write_text(text, encoding="utf-8")
+
+
 def to_8bit(image: np.ndarray) -> np.ndarray:
     """round(255 clamp(x, 0, 1)); NaN becomes 0."""
     return np.rint(255 * np.clip(np.nan_to_num(image, nan=0.0), 0, 1)).astype(np.uint8)
@@ -62,24 +75,31 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> None:
     import OpenEXR
 
-    names = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
-    channels = {name: np.ascontiguousarray(image[:, :, i]) for i, name in enumerate(names)}
+    channels = {name: np.ascontiguousarray(image[:, :, i]) for i, name in enumerate(CHANNELS[image.shape[2]])}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)
+    # The library does not notice a full disk.
+    read_exr(path)
 
 
 def _write_png(path: str, image: np.ndarray) -> None:
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
-    from mitsuba.mitsuba_ext import Bitmap
+    from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
-    Bitmap(np.ascontiguousarray(to_8bit(image))).write(path)
+    if image.shape[2] == 2:
+        image = image[:, :, [0, 0, 0, 1]]
+    # To memory first: the library does not notice a full disk.
+    stream = MemoryStream()
+    Bitmap(np.ascontiguousarray(to_8bit(image))).write(stream, Bitmap.FileFormat.PNG)
+    Path(path).write_bytes(bytes(stream.raw_buffer()))
 
 
 def _srgb(image: np.ndarray) -> np.ndarray:
-    color = np.clip(np.nan_to_num(image[:, :, :3], nan=0.0), 0, 1)
+    alpha = 3 if image.shape[2] > 2 else 1
+    color = np.clip(np.nan_to_num(image[:, :, :alpha], nan=0.0), 0, 1)
     encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    return np.concatenate([encoded, image[:, :, 3:]], axis=2)
+    return np.concatenate([encoded, image[:, :, alpha:]], axis=2)
 
 
 @contextlib.contextmanager

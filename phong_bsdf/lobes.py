@@ -16,6 +16,8 @@ All functions work on Dr.Jit arrays and on Python floats, and are differentiable
 with finite derivatives everywhere.
 """
 
+import math
+
 import drjit as dr
 
 # Below this, a cosine is treated as this: tan(theta)^2 and its derivatives stay finite
@@ -28,12 +30,20 @@ LARGEST = 1e38
 # log(xi) stays finite at xi = 0; float32's smallest normal number is 1.2e-38.
 SMALLEST_XI = 1.2e-38
 
+# 1 / (8 pi) as the sum of two float32 numbers.
+INV_8_PI = (0.03978873789310455, 1 / (8 * math.pi) - 0.03978873789310455)
+
 
 def log1p(t):
     """log(1 + t) for t >= 0, accurate for tiny t (Kahan's correction of the rounded sum 1 + t)."""
     u = 1 + t
     lost = u == 1
     return dr.select(lost, t, dr.log(u) * t / dr.select(lost, 1, u - 1))
+
+
+def expm1(x):
+    """exp(x) - 1 for -80 <= x <= 0, accurate for tiny x."""
+    return 2 * dr.sinh(0.5 * x) * dr.exp(0.5 * x)
 
 
 def phong(wi, wo, p):
@@ -52,14 +62,16 @@ def phong_pdf(wi, wo, p):
     """Density per solid angle of `sample_phong`: (p + 1) / (2 pi) (r.v)^p."""
     tan2, cos = _phong_angle(wi, wo)
     # Samples reach a right angle from the axis and no further, also for p = 0.
-    return dr.select(cos > 0, dr.minimum((p + 1) * dr.inv_two_pi, LARGEST) * _cos_power(tan2, p), 0)
+    x = 4 * _cos_power(tan2, p)
+    return dr.select(cos > 0, _over_8_pi(dr.minimum(dr.fma(p, x, x), LARGEST)), 0)
 
 
 def blinnphong_pdf(wi, wo, p):
     """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h)."""
     tan2, length = _blinnphong_angle(wi, wo)
     # For unit wi and wo, wo.h = |wi + wo| / 2.
-    return dr.minimum((p + 1) * dr.inv_two_pi * _cos_power(tan2, p) / (2 * length), LARGEST)
+    x = _cos_power(tan2, p) / (0.5 * length)
+    return _over_8_pi(dr.minimum(dr.fma(p, x, x), LARGEST))
 
 
 def sample_phong(wi, p, xi):
@@ -78,13 +90,15 @@ def sample_blinnphong(wi, p, xi):
 
 def phong_normalization(p):
     """c(p) = (p + 2) / (2 pi): gives the lobe times cos(theta_o) albedo 1 at normal incidence."""
-    return (p + 2) * dr.inv_two_pi
+    return 4 * _over_8_pi(p + 2)
 
 
 def blinnphong_normalization(p):
     """c(p) = (p + 2)(p + 4) / (8 pi (2^(-p/2) + p)), exact; albedo 1 at normal incidence."""
-    # In this order nothing overflows: the fraction stays near 1.
-    return (p + 2) * ((p + 4) / (p + dr.exp2(-0.5 * p))) * (0.25 * dr.inv_two_pi)
+    # With m = 2^(-p/2) - 1, division by 1 + p + m gives 8 pi c = 5 + p - m + (3 - 4 m + m^2) / (1 + p + m):
+    # no product that could overflow, and the roundings of small terms only.
+    m = expm1(dr.maximum(-0.5 * math.log(2) * p, -80))
+    return _over_8_pi(5 + ((p - m) + dr.fma(m, m - 4, 3) / (1 + (p + m))))
 
 
 def phong_albedo_normal(p):
@@ -117,7 +131,11 @@ def _blinnphong_angle(wi, wo):
     # to first order, |wi| / |wo| = 1 + (|wi|^2 - |wo|^2) / 2.
     h = dr.fma(wo, 0.5 * dr.dot(wi - wo, h), h)
     z = dr.maximum(h.z, TINY)
-    return dr.square(h.x / z) + dr.square(h.y / z), dr.sqrt(dr.square(h.x) + dr.square(h.y) + dr.square(z))
+    return dr.square(h.x / z) + dr.square(h.y / z), dr.sqrt(dr.fma(h.x, h.x, dr.fma(h.y, h.y, dr.square(z))))
+
+
+def _over_8_pi(x):
+    return dr.fma(x, INV_8_PI[0], x * INV_8_PI[1])
 
 
 def _cos_power(tan2, p):
@@ -135,6 +153,6 @@ def _sample_cos_power(vector, p, xi):
     # cos = xi^(1 / (p + 1)); sin^2 = 1 - cos^2 = -expm1(2 log cos), without the cancellation.
     log_cos = dr.log(dr.maximum(xi.x, SMALLEST_XI)) / (p + 1)
     cos = dr.exp(log_cos)
-    sin = dr.sqrt(2 * dr.sinh(-log_cos) * cos)
+    sin = dr.safe_sqrt(2 * dr.sinh(-log_cos) * cos)
     sin_phi, cos_phi = dr.sincos(dr.two_pi * xi.y)
     return vector(sin * cos_phi, sin * sin_phi, cos)

@@ -87,9 +87,8 @@ def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
 def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
     """Give the camera's film another size, without a crop window."""
     params = mi.traverse(loaded.sensor(camera))
+    # This resets the crop window too.
     params["film.size"] = mi.ScalarVector2u(width, height)
-    params["film.crop_size"] = mi.ScalarVector2u(width, height)
-    params["film.crop_offset"] = mi.ScalarPoint2u(0, 0)
     params.update()
 
 
@@ -127,20 +126,22 @@ def explain(error: BaseException, path: Path) -> str:
     """One sentence for an error of Mitsuba: where, and what, without its C++ and Python frames."""
     while error.__cause__ is not None:
         error = error.__cause__
+    if isinstance(error, KeyboardInterrupt):
+        raise error
     text = str(error)
-    where = re.search(r'(?:At|while loading|While loading|XML file) "?([^"\n]*?)"? ?\(line (\d+)', text)
-    line = where or re.search(r"()\(line (\d+), col", text)
-    file = where[1] if where and where[1] else str(path)
+    # The innermost place named is that of the mistake: in an included file, not where that is included.
+    places = re.findall(r'"?([^\s"]+\.xml)"? ?\(line (\d+)(?:, col \d+)?\)', text)
+    lines = re.findall(r"\(line (\d+)(?:, col \d+)?\)", text)
+    file, line = places[-1] if places else (str(path), lines[-1] if lines else None)
     if "Traceback (most recent call last)" in text:
-        text = text.rstrip().rsplit("\n", 1)[-1]
-        text = re.sub(r"^\w+(Error|Exception): ", "", text)
+        text = re.sub(r"^\w+(Error|Exception): ", "", text.rstrip().rsplit("\n", 1)[-1])
     text = re.sub(r"\[[\w.]+:\d+\] ", "", text)
-    text = re.sub(r"^(At|Error while loading|While loading) .*?\(line \d+, col \d+\): ", "", text)
-    text = re.sub(r'^Parsing of XML file ".*?" failed: ', "", text)
+    text = re.sub(r"^.*\(line \d+, col \d+\): ", "", text, flags=re.DOTALL)
+    text = re.sub(r'^Parsing of XML file ".*?" failed: |^Error while loading( XML file)? ".*?": ', "", text)
     text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
-    text = re.sub(r"^Found unused parameters:\s*", "the scene has no <default> for ", text)
+    text = re.sub(r"^Found unused parameters:\s*- \$", "the scene has no <default> for ", text)
     text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
-    return f"{file}, line {line[2]}: {text}" if line else f"{file}: {text}"
+    return f"{file}, line {line}: {text}" if line else f"{file}: {text}"
 
 
 def _locate(error: needs.UnsupportedScene, path: Path, defines: Mapping[str, str]) -> str:

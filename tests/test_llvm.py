@@ -96,7 +96,7 @@ def test_users_choice_wins(order):
         "import drjit, phong_bsdf, mitsuba as mi\n" + SET,
         "import os, drjit; del os.environ['DRJIT_LIBLLVM_PATH']; import phong_bsdf, mitsuba as mi\n" + SET,
         "import mitsuba as mi\n" + SET + "import phong_bsdf\n",
-        "import mitsuba as mi\n" + SET + "try: import phong_bsdf\nexcept ImportError: import phong_bsdf\n",
+        f"import mitsuba as mi\n{SET}try: import phong_bsdf\nexcept ImportError: import phong_bsdf\n{SET}",
         "import phong_bsdf, mitsuba as mi\ntry: " + SET + "except ImportError: " + SET,
     ],
     ids=["chosen", "drjit first", "drjit first, not chosen", "variant first", "import again", "set again"],
@@ -121,6 +121,15 @@ def test_scalar_variants_work_with_a_bad_llvm(bad_llvm, code):
     assert run("-c", code, path=bad_llvm).stdout == "Phong\n"
 
 
+@pytest.mark.parametrize("before", ["scalar_rgb", "scalar_spectral"])
+def test_refusal_keeps_the_variant(bad_llvm, before):
+    """After a refusal the variant from before is active still, with its plugins."""
+    refusal = f"try: {SET}except ImportError: pass\n"
+    code = f"import phong_bsdf, mitsuba as mi; mi.set_variant({before!r})\n" + refusal
+    code += "print(mi.variant(), type(mi.load_dict({'type': 'phong'})) is phong_bsdf.plugins.phong.Phong)"
+    assert run("-c", code, path=bad_llvm).stdout == f"{before} True\n"
+
+
 def test_no_llvm_warns():
     """Where there is no LLVM at all, the line that imports the package warns and names the remedy."""
     child = run("-c", NO_WHEEL + NO_SYSTEM + "import phong_bsdf")
@@ -134,7 +143,6 @@ def test_no_llvm_warns():
     "code",
     [
         "dr.while_loop((mi.Float([1, 2]),), lambda x: x < 5, lambda x: (mi.UInt32(x),))",
-        "mi.Float([1, 2, 3]) + mi.Float([1, 2])",
         "mi.load_dict({'type': 'phong', 'p': -1})",
     ],
 )

@@ -51,6 +51,7 @@ def test_lights_make_white():
 
 def test_falloff():
     """Without falloff the far ball is as bright as the near one up to its angle; with it, it is darker."""
+
     def ratio(**defines):
         image = render("lecture/falloff.xml", **defines)[..., 0]
         return image[:200, -225:].max() / image[:200, :225].max()

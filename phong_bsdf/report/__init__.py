@@ -1,0 +1,1 @@
+"""Records -> CSV, JSON, tables, plots. Renders nothing, measures nothing."""

@@ -1,0 +1,69 @@
+"""The stability sweep as a table, CSV, JSON and plots."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..images import replace_file
+from ..stability import BARS, Row
+from . import tables
+
+
+def table(rows: Sequence[Row]) -> str:
+    """One line for each quantity, lobe and exponent."""
+    headings = (
+        "quantity", "lobe", "p", "error", "C", "bar", "naive err.", "naive C",
+        "native err.", "native C", "ns", "naive ns", "",
+    )  # fmt: skip
+    lines = [
+        (
+            row.quantity, row.lobe, f"{row.p:g}", *map(tables.number, (
+                row.error, row.c, BARS[row.quantity], row.naive_error, row.naive_c, row.native_error, row.native_c,
+                row.nanoseconds, row.naive_nanoseconds,
+            )), "" if row.passed else "MISSED",
+        )
+        for row in rows
+    ]  # fmt: skip
+    return tables.text_table(headings, lines)
+
+
+def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    """Write stability.csv, .json, .txt, and, where matplotlib is installed, one .svg for each quantity."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    tables.write_csv(folder / "stability.csv", rows)
+    tables.write_json(folder / "stability.json", rows)
+    replace_file(folder / "stability.txt", table(rows))
+    return [folder / f"stability.{kind}" for kind in ("csv", "json", "txt")] + _plots(folder, rows)
+
+
+def _plots(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    try:
+        import matplotlib
+    except ImportError:
+        return []
+    # Plots that do not change when their numbers do not.
+    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
+    from matplotlib.figure import Figure
+
+    paths = []
+    for quantity in dict.fromkeys(row.quantity for row in rows):
+        figure = Figure(figsize=(9, 4), layout="constrained")
+        for axes, lobe in zip(figure.subplots(1, 2, sharey=True), ("phong", "blinnphong"), strict=True):
+            chosen = [row for row in rows if (row.quantity, row.lobe) == (quantity, lobe)]
+            p = [max(row.p, 0.03) for row in chosen]
+            curves = {"naive": "naive_error", "phong_bsdf": "error"}
+            if any(row.native_error is not None for row in chosen):
+                curves["Beckmann (native)"] = "native_error"
+            for label, field in curves.items():
+                errors = [min(max(getattr(row, field), 1e-9), 1e3) for row in chosen]
+                axes.loglog(p, errors, marker="o", markersize=3, label=label)
+            axes.axhline(2.0**-24, color="grey", linewidth=0.8, linestyle=":", label="one rounding")
+            axes.set(title=f"{quantity}, {lobe}", xlabel="p (0 at the left)", ylim=(1e-8, 2e3))
+        figure.axes[0].set_ylabel("worst relative error (cut at 1000)")
+        figure.axes[1].legend()
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+        paths.append(folder / f"{quantity}.svg")
+        replace_file(paths[-1], text.getvalue())
+    return paths

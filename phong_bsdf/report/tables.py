@@ -1,0 +1,82 @@
+"""Records (frozen dataclasses) as CSV, JSON and text, with where and when they were measured."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import platform
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+from ..images import replace_file
+
+
+def context() -> dict[str, str]:
+    """Versions and machine, for every record that is kept."""
+    import drjit
+    import mitsuba as mi
+
+    from .. import __version__
+
+    return {
+        "phong_bsdf": __version__,
+        "mitsuba": mi.__version__,
+        "drjit": drjit.__version__,
+        "llvm": ".".join(map(str, drjit.detail.llvm_version())),
+        "variant": mi.variant(),
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, {_cores()} cores",
+        "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    }
+
+
+def write_csv(path: Path, rows: Sequence) -> None:
+    """One line a record; tuples are written with spaces."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [f.name for f in dataclasses.fields(rows[0])]
+    writer.writerow(names)
+    for row in rows:
+        values = (getattr(row, name) for name in names)
+        writer.writerow([" ".join(map(repr, v)) if isinstance(v, tuple) else "" if v is None else v for v in values])
+    replace_file(path, text.getvalue())
+
+
+def write_json(path: Path, rows: Sequence, **more) -> None:
+    """The records under `rows`, the machine under `context`; infinities as strings, which JSON lacks."""
+    records = [{k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in rows]
+    replace_file(path, json.dumps({"context": context(), **more, "rows": records}, indent=1) + "\n")
+
+
+def number(x: float | None) -> str:
+    """A number in at most seven characters."""
+    if x is None:
+        return "-"
+    if not math.isfinite(x):
+        return "inf" if x > 0 else str(x)
+    return f"{x:.3g}" if x == 0 or 0.01 <= abs(x) < 1e4 else f"{x:.1e}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns aligned: the first to the left, the others to the right."""
+    table = [list(headings), *map(list, rows)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(headings))]
+    lines = [
+        "  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        for row in table
+    ]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
+
+
+def _plain(value):
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
+
+
+def _cores() -> int:
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
