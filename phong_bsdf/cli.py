@@ -10,7 +10,6 @@ import click
 
 from . import __version__, llvm
 
-
 LARGEST_SIDE = 65536
 
 
@@ -121,7 +120,7 @@ def doctor():
 @click.option("-m", "--mode", "variant", help="Mitsuba variant, a JIT one. Default: llvm_ad_rgb.")
 @click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
 def stability(folder, quick, seed, variant, threads):
-    """Find the worst float32 error of the lobes at each exponent, beside the naive formulas. Exit 1: a bar is missed."""
+    """Find the lobes' worst float32 error at each exponent, beside the naive formulas. Exit 1: a bar is missed."""
     with _errors():
         _start(variant or "llvm_ad_rgb", threads, verbose=False)
         import drjit as dr

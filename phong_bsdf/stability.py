@@ -121,7 +121,7 @@ def _polar(cos, sin, turn):
 
 def _to_axis(v, axis):
     """Directions about +z as directions about `axis`."""
-    z = axis + [0, 0, 1]
+    z = axis + np.array([0, 0, 1])
     return 2 * np.sum(v * z, axis=1, keepdims=True) / np.sum(z * z, axis=1, keepdims=True) * z - v
 
 
