@@ -125,13 +125,16 @@ def _phong_angle(wi, wo):
 
 
 def _blinnphong_angle(wi, wo):
-    """tan(theta)^2 between the normal and the bisector of wi and wo, and the length of their sum."""
+    """tan(theta)^2 between the normal and the bisector of wi and wo, and the length of the sum of the two."""
     h = wi + wo
     # Directions are unit only up to rounding. The bisector needs equal lengths:
     # to first order, |wi| / |wo| = 1 + (|wi|^2 - |wo|^2) / 2.
     h = dr.fma(wo, 0.5 * dr.dot(wi - wo, h), h)
     z = dr.maximum(h.z, TINY)
-    return dr.square(h.x / z) + dr.square(h.y / z), dr.sqrt(dr.fma(h.x, h.x, dr.fma(h.y, h.y, dr.square(z))))
+    # |h|^2 / |wi|^2 to first order, from 1 - |wi|^2, whose roundings cancel with its terms.
+    excess = dr.fma(-wi.x, wi.x, dr.fma(-wi.y, wi.y, dr.fma(-wi.z, wi.z, 1)))
+    length2 = dr.fma(h.x, h.x, dr.fma(h.y, h.y, dr.square(z)))
+    return dr.square(h.x / z) + dr.square(h.y / z), dr.sqrt(dr.fma(length2, excess, length2))
 
 
 def _over_8_pi(x):

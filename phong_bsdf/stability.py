@@ -64,12 +64,16 @@ class Row:
 def sweep(
     *,
     cases: int = CASES,
-    exponents: tuple[float, ...] = EXPONENTS,
+    exponents: tuple[float, ...] | None = None,
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Iterator[Row]:
-    """The worst of `cases` inputs for every quantity, lobe and exponent, in the active JIT variant."""
-    jobs = [(lobe, p) for lobe in LOBES for p in exponents]
+    """The worst of `cases` inputs for every quantity, lobe and exponent (by default `EXPONENTS`).
+
+    In the active variant, which must be a JIT one.
+    """
+    # As float32 has them.
+    jobs = [(lobe, float(np.float32(p))) for lobe in LOBES for p in exponents or EXPONENTS]
     for i, (lobe, p) in enumerate(jobs):
         yield from _measure_directions(lobe, p, cases, seed + i)
         yield _measure_samples(lobe, p, cases, seed + i)
@@ -90,7 +94,7 @@ def pairs(lobe: str, p: float, n: int, rng) -> tuple[np.ndarray, np.ndarray]:
     """Float32 directions (wi, wo), each (<= n, 3): everywhere, and where the lobe is 1 down to 1e-30.
 
     One in a hundred pairs is an edge case: at the peak, at normal incidence, at opposite
-    horizons; three in ten have a length that is off by up to 1e-6.
+    horizons; three in ten directions have a length that is off by up to 1e-6.
     """
     wi = directions(rng, n)
     log_cos = -np.log(10) * rng.uniform(0, 30, n) * (rng.random(n) < 0.9) / max(p, 1e-3)
@@ -100,7 +104,8 @@ def pairs(lobe: str, p: float, n: int, rng) -> tuple[np.ndarray, np.ndarray]:
     else:
         wo = 2 * np.sum(wi * about_axis, axis=1, keepdims=True) * about_axis - wi
     wo = np.where(rng.random((n, 1)) < 0.3, directions(rng, n), wo)
-    wo *= 1 + np.where(rng.random((n, 1)) < 0.3, rng.uniform(-1e-6, 1e-6, (n, 1)), 0)
+    for v in (wi, wo):
+        v *= 1 + np.where(rng.random((n, 1)) < 0.3, rng.uniform(-1e-6, 1e-6, (n, 1)), 0)
 
     edge = rng.integers(0, 400, n)
     wo[edge == 0] = (wi * [-1, -1, 1])[edge == 0]

@@ -60,8 +60,8 @@ def dot(a, b):
     return np.sum(a * b, axis=-1)
 
 
-def render(scene, width=490, height=490):
-    """Linear image, (height, width, 3)."""
+def render(scene, width=490, height=490, start=None):
+    """Linear image, (height, width, 3); sees what is beyond `start`, by default beyond the image plane."""
     camera = scene.camera
     back = -normalize(np.array(camera.view, float))
     right = normalize(np.cross(camera.up, back))
@@ -71,7 +71,7 @@ def render(scene, width=490, height=490):
     plane = x[None, :, None] * right + y[:, None, None] * up - camera.focal * back
     d = normalize(plane).reshape(-1, 3)
     o = np.broadcast_to(np.array(camera.eye, float), d.shape)
-    start = np.linalg.norm(plane, axis=-1).reshape(-1)
+    start = np.linalg.norm(plane, axis=-1).reshape(-1) if start is None else start
     return radiance(scene, o, d, scene.bounces, start).reshape(height, width, 3)
 
 

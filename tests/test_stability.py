@@ -1,0 +1,138 @@
+"""The stability sweep: its truth, its bars, its report; and what the stable lobes cost."""
+
+import csv
+import json
+import sys
+
+import drjit as dr
+import mitsuba as mi
+import mpmath as mp
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_lobes import exact as exact_mp
+from test_lobes import inputs
+
+from phong_bsdf import lobes, stability
+from phong_bsdf.cli import main
+from phong_bsdf.report import stability as report
+
+# The inputs that came closest to a bar in sweeps of 2^22: wi, wo, p, quantity.
+WORST = [
+    ("blinnphong", "pdf", 1.0, (0.23091032, -0.13367681, 0.9637484), (0.09263951, -0.0857631, 0.9919993)),
+    ("blinnphong", "pdf", 100.0, (-0.000402673, -0.022485845, 0.9997471), (-0.0223, 0.0131, 0.99966548)),
+    ("blinnphong", "pdf", 1.0, (-0.45029205, 0.10197194, 0.88703936), (-0.43145126, -0.12542813, 0.89337325)),
+    ("phong", "value", 30.0, (0.0599777, -0.9981258, 0.01214774), (-0.01886438, 0.75130045, 0.6596907)),
+]
+
+
+@pytest.mark.parametrize("p", (0.1, 1, 100, 1e5, 1e8))
+@pytest.mark.parametrize("lobe", ("phong", "blinnphong"))
+def test_float64_truth(lobe, p):
+    """What the sweep calls true agrees with mpmath, to far below float32."""
+    wi, wo, numbers = inputs(lobe, p, seed=7, n=200)
+    with mp.workdps(40):
+        for quantity, (values, kappa) in stability.exact(lobe, wi, wo, float(np.float32(p))).items():
+            for value, k, x in zip(values, kappa, numbers, strict=True):
+                true = float(exact_mp(lobe, quantity, x))
+                if true > 1e-30 and k < stability.WORST_CONDITION:
+                    assert value == pytest.approx(true, rel=1e-14 * (1 + k))
+
+
+@settings(deadline=None, max_examples=40, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32),
+    p=st.one_of(st.just(0.0), st.floats(-2, 8).map(lambda x: 10.0**x)),
+    lobe=st.sampled_from(["phong", "blinnphong"]),
+)
+def test_bars_hold_for_any_seed(seed, p, lobe):
+    """4096 pairs of directions for each seed and exponent."""
+    wi, wo = stability.pairs(lobe, p, 4096, np.random.default_rng(seed))
+    truth = stability.exact(lobe, wi, wo, float(np.float32(p)))
+    for quantity in ("value", "pdf"):
+        values = stability.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p))
+        assert stability._worst(values.numpy(), *truth[quantity])[1] <= stability.BARS[quantity]
+
+
+@pytest.mark.parametrize(("lobe", "quantity", "p", "wi", "wo"), WORST)
+def test_worst_inputs_found_so_far(lobe, quantity, p, wi, wo):
+    """They stay within the bar."""
+    wi, wo = np.array([wi], np.float32), np.array([wo], np.float32)
+    value = stability.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), mi.Float(p)).numpy()
+    assert 0.3 < stability._worst(value, *stability.exact(lobe, wi, wo, p)[quantity])[1] <= stability.BARS[quantity]
+
+
+def test_command(tmp_path):
+    """`stability --quick` meets the bars, prints a line for each, and writes CSV, JSON, text and plots."""
+    result = CliRunner().invoke(main, ["stability", "--quick", "-o", str(tmp_path / "new")])
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader((tmp_path / "new/stability.csv").read_text().splitlines()))
+    kept = json.loads((tmp_path / "new/stability.json").read_text())
+    assert len(rows) == len(kept["rows"]) == 4 * 2 * len(stability.EXPONENTS)
+    assert kept["context"]["variant"] == "llvm_ad_rgb" and kept["context"]["mitsuba"] == mi.__version__
+    assert result.output.startswith((tmp_path / "new/stability.txt").read_text())
+    assert f"{len(rows)} of {len(rows)} bars met" in result.output
+    # What the report is for: at p = 1e6 the naive highlight is wrong, the stable one is not.
+    row = next(r for r in rows if (r["quantity"], r["lobe"], r["p"]) == ("value", "blinnphong", "1000000.0"))
+    assert float(row["error"]) < 1e-4 < 0.1 < float(row["naive_error"])
+    for quantity in stability.BARS:
+        assert (tmp_path / f"new/{quantity}.svg").read_text().count("<svg") == 1
+
+
+def test_a_missed_bar_is_exit_code_1(monkeypatch):
+    """And the table says which."""
+    monkeypatch.setattr(stability, "EXPONENTS", (1e6,))
+    naive = stability.LOBES["phong"]["value"][1]
+    monkeypatch.setitem(stability.LOBES["phong"], "value", (naive, naive))
+    result = CliRunner().invoke(main, ["stability", "--quick"])
+    assert result.exit_code == 1
+    assert [line.split()[0] for line in result.output.splitlines() if line.endswith("MISSED")] == ["value"]
+
+
+def test_plots_need_matplotlib(tmp_path, monkeypatch):
+    """Without it the numbers are written all the same."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    rows = list(stability.sweep(cases=2**10, exponents=(1.0,)))
+    assert [p.name for p in report.write(tmp_path, rows)] == ["stability.csv", "stability.json", "stability.txt"]
+
+
+@pytest.mark.parametrize("args", (["-m", "scalar_rgb"], ["-o", "/dev/null/x"], ["-m", "nix"]))
+def test_bad_usage(args):
+    """Exit code 2 and one sentence."""
+    result = CliRunner().invoke(main, ["stability", "--quick", *args])
+    assert result.exit_code == 2 and result.output.startswith("Error: ")
+
+
+@pytest.mark.parametrize("lobe", ("phong", "blinnphong"))
+def test_price_in_a_render(lobe, monkeypatch):
+    """A kernel with the stable lobe has at most 1.3 times the operations of one with `power(dot, p)`."""
+
+    def operations():
+        scene = {
+            "type": "scene",
+            "integrator": {"type": "whitted"},
+            "sensor": {
+                "type": "perspective",
+                "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": 1},
+            },
+            "ball": {"type": "sphere", "center": [0, 0, 5], "bsdf": {"type": lobe}},
+            "light": {"type": "point", "position": [1, 2, 0]},
+        }
+        scene = mi.load_dict(scene)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.eval(mi.render(scene))
+            return max(k["operation_count"] for k in dr.kernel_history() if "operation_count" in k)
+
+    import phong_bsdf.plugins.blinnphong
+    import phong_bsdf.plugins.phong
+
+    plugin = {"phong": phong_bsdf.plugins.phong.Phong, "blinnphong": phong_bsdf.plugins.blinnphong.BlinnPhong}[lobe]
+    stable = operations()
+    monkeypatch.setattr(plugin, "lobe", staticmethod(stability.LOBES[lobe]["value"][1]))
+    naive = operations()
+    assert naive < stable <= 1.3 * naive
+    assert plugin.lobe is not getattr(lobes, lobe)
