@@ -5,7 +5,7 @@ BIN = .venv/bin
 READY = .venv/ready
 LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml)) out/falloff-physical.png
 
-.PHONY: demo test check clean
+.PHONY: demo test check bench figures clean
 
 demo: $(LECTURE)
 	@echo "The lecture's pictures are in $(CURDIR)/out"
@@ -16,6 +16,13 @@ test: $(READY)
 check: $(READY)
 	@$(BIN)/python -m pip install -q --group lint
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+bench: $(READY)
+	@$(BIN)/python tests/benchmarks/lobes.py
+
+figures: $(READY)
+	@$(BIN)/python docs/figures.py
+	@$(BIN)/phong-bsdf render scenes/lecture/mirror-floor.xml -o docs/images/mirror-floor.png --spp 16
 
 clean:
 	rm -rf .venv out

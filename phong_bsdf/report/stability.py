@@ -38,32 +38,35 @@ def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def _plots(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    quantities = dict.fromkeys(row.quantity for row in rows)
     try:
-        import matplotlib
+        return [plot(folder / f"{quantity}.svg", rows, quantity) for quantity in quantities]
     except ImportError:
         return []
-    # Plots that do not change when their numbers do not.
-    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
+
+
+def plot(path: Path, rows: Sequence[Row], quantity: str) -> Path:
+    """Worst errors over the exponents, both lobes side by side; needs matplotlib."""
+    import matplotlib
     from matplotlib.figure import Figure
 
-    paths = []
-    for quantity in dict.fromkeys(row.quantity for row in rows):
-        figure = Figure(figsize=(9, 4), layout="constrained")
-        for axes, lobe in zip(figure.subplots(1, 2, sharey=True), ("phong", "blinnphong"), strict=True):
-            chosen = [row for row in rows if (row.quantity, row.lobe) == (quantity, lobe)]
-            p = [max(row.p, 0.03) for row in chosen]
-            curves = {"naive": "naive_error", "phong_bsdf": "error"}
-            if any(row.native_error is not None for row in chosen):
-                curves["Beckmann (native)"] = "native_error"
-            for label, field in curves.items():
-                errors = [min(max(getattr(row, field), 1e-9), 1e3) for row in chosen]
-                axes.loglog(p, errors, marker="o", markersize=3, label=label)
-            axes.axhline(2.0**-24, color="grey", linewidth=0.8, linestyle=":", label="one rounding")
-            axes.set(title=f"{quantity}, {lobe}", xlabel="p (0 at the left)", ylim=(1e-8, 2e3))
-        figure.axes[0].set_ylabel("worst relative error (cut at 1000)")
-        figure.axes[1].legend()
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-        paths.append(folder / f"{quantity}.svg")
-        replace_file(paths[-1], text.getvalue())
-    return paths
+    # A file that does not change when its numbers do not.
+    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    for axes, lobe in zip(figure.subplots(1, 2, sharey=True), ("phong", "blinnphong"), strict=True):
+        chosen = [row for row in rows if (row.quantity, row.lobe) == (quantity, lobe)]
+        p = [max(row.p, 0.03) for row in chosen]
+        curves = {"naive": "naive_error", "phong_bsdf": "error"}
+        if any(row.native_error is not None for row in chosen):
+            curves["Beckmann (native)"] = "native_error"
+        for label, field in curves.items():
+            errors = [min(max(getattr(row, field), 1e-9), 1e3) for row in chosen]
+            axes.loglog(p, errors, marker="o", markersize=3, label=label)
+        axes.axhline(2.0**-24, color="grey", linewidth=0.8, linestyle=":", label="one rounding")
+        axes.set(title=f"{quantity}, {lobe}", xlabel="p (0 at the left)", ylim=(1e-8, 2e3))
+    figure.axes[0].set_ylabel("worst relative error (cut at 1000)")
+    figure.axes[1].legend()
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    replace_file(path, text.getvalue())
+    return path

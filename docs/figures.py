@@ -1,0 +1,70 @@
+"""Makes the figures and the table of docs/stability.md: `make figures`."""
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import phong_bsdf  # noqa: F401
+
+import mitsuba as mi  # isort: skip
+import numpy as np
+
+mi.set_variant("llvm_ad_rgb")
+
+from phong_bsdf import images, stability  # noqa: E402
+from phong_bsdf.plugins.blinnphong import BlinnPhong  # noqa: E402
+from phong_bsdf.report import stability as report  # noqa: E402
+
+IMAGES = Path(__file__).parent / "images"
+SIZE = 240
+
+
+@contextmanager
+def formula(lobe):
+    """`blinnphong` with another formula for its lobe."""
+    before, BlinnPhong.lobe = BlinnPhong.lobe, staticmethod(lobe)
+    try:
+        yield
+    finally:
+        BlinnPhong.lobe = staticmethod(before)
+
+
+def highlight(p):
+    """A plane seen straight from above, a light above its centre; the field of view follows the highlight."""
+    half = 6 * np.sqrt(2 / p)
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "whitted"},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]).scale([half, half, 1]),
+            "film": {
+                "type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb",
+            },
+            "sampler": {"type": "independent", "sample_count": 1},
+        },
+        "plane": {"type": "rectangle", "bsdf": {"type": "blinnphong", "kd": 0.05, "ks": 0.8, "p": p}},
+        "light": {"type": "point", "position": [0, 0, 1]},
+    }  # fmt: skip
+    return np.array(mi.render(mi.load_dict(scene)))
+
+
+def main():
+    """Writes docs/images/highlights.png, docs/images/stability-value.svg, and the table into docs/stability.md."""
+    rows = []
+    for lobe in (stability.LOBES["blinnphong"]["value"][1], BlinnPhong.lobe):
+        with formula(lobe):
+            rows.append(np.concatenate([highlight(p) for p in (1e5, 1e6, 1e7)], axis=1))
+    images.write(IMAGES / "highlights.png", np.concatenate(rows, axis=0))
+
+    records = list(stability.sweep())
+    report.plot(IMAGES / "stability-value.svg", records, "value")
+    page = Path(__file__).parent / "stability.md"
+    before, _, rest = page.read_text().partition("<!-- table -->\n")
+    _, _, after = rest.partition("<!-- end of table -->\n")
+    chosen = [row for row in records if row.quantity in ("value", "pdf") and row.p in (1, 100, 1e4, 1e6, 1e8)]
+    table = report.table(chosen)
+    page.write_text(f"{before}<!-- table -->\n```text\n{table}```\n<!-- end of table -->\n{after}")
+
+
+if __name__ == "__main__":
+    main()
