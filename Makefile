@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/ready
-LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml)) out/falloff-physical.png
+LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml))
 
 .PHONY: demo test check bench figures clean
 
@@ -27,9 +27,13 @@ figures: $(READY)
 clean:
 	rm -rf .venv out
 
-out/falloff-physical.png: scenes/lecture/falloff.xml $(READY)
+# One picture of two: without falloff above, with it below.
+out/falloff.png: scenes/lecture/falloff.xml $(READY)
 	@mkdir -p out
-	@$(BIN)/phong-bsdf render $< -o $@ -D convention=physical -D intensity=91.6
+	@$(BIN)/phong-bsdf render $< -o out/falloff-without.exr
+	@$(BIN)/phong-bsdf render $< -o out/falloff-with.exr -D convention=physical -D intensity=91.6
+	@$(BIN)/python -c "import numpy, phong_bsdf.images as i; i.write('$@', \
+	    numpy.concatenate([i.read_exr(f'out/falloff-{x}.exr') for x in ('without', 'with')]))"
 
 out/%.png: scenes/lecture/%.xml $(READY)
 	@mkdir -p out

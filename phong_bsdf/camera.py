@@ -20,13 +20,17 @@ class CameraSamples:
         self.moves = sensor.shutter_open_time() > 0
         self.has_lens = sensor.needs_aperture_sample()
 
-        sampler = sensor.sampler().clone()
-        spp = spp or sampler.sample_count()
+        spp = spp or sensor.sampler().sample_count()
         n = math.isqrt(spp)
         self.grid = n if n * n == spp else None
+        self.sampler = None
         if self.grid is None:
-            sampler.set_sample_count(spp)
-            spp = sampler.sample_count()
+            self.sampler = sensor.sampler().clone()
+            self.sampler.set_sample_count(spp)
+            # Samplers round the number as they need.
+            spp = self.sampler.sample_count()
+        elif mi.is_spectral or self.moves or self.has_lens:
+            self.sampler = mi.load_dict({"type": "independent", "sample_count": spp})
         self.spp = spp
 
         self.border = self.film.rfilter().border_size() if self.film.sample_border() else 0
@@ -37,16 +41,20 @@ class CameraSamples:
                 f"whitted: {width} x {height} pixels of {spp} samples are more than 2^32; "
                 "render with fewer samples per pixel, in several passes"
             )
-        self.sampler = None
-        if self.grid is None or mi.is_spectral or self.moves or self.has_lens:
-            if self.jit:
-                sampler.set_samples_per_wavefront(spp)
-            sampler.seed(seed, self.count if self.jit else 1)
-            self.sampler = sampler
+        self.seed = seed
+        if self.sampler is not None and self.jit:
+            self.sampler.set_samples_per_wavefront(spp)
+            self.sampler.seed(seed, self.count)
 
     def rays(self, index):
         """(rays, weights, positions on the film in pixels) of the samples `index`."""
         pixel = index // self.spp
+        if self.sampler is not None and not self.jit:
+            # A sampler knows the samples of one pixel; some never return when asked for more.
+            if index % self.spp == 0:
+                self.sampler.seed((self.seed * self.count + pixel) % 2**32, 1)
+            else:
+                self.sampler.advance()
         y = pixel // self.width
         offset = mi.Vector2f(self.film.crop_offset())
         corner = mi.Point2f(pixel - y * self.width, y) + (offset - self.border)
@@ -67,7 +75,5 @@ class CameraSamples:
             sample2=(position - offset) / mi.Vector2f(self.film.crop_size()),
             sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
         )
-        if self.sampler is not None and not self.jit:
-            self.sampler.advance()
         # The box filter needs to know the pixel only, and no rounding may miss it.
         return ray, weight, corner + 0.5 if self.film.rfilter().is_box_filter() else position

@@ -20,9 +20,9 @@ class Lights:
     def __init__(self, scene):
         emitters = [e for e in scene.emitters() if is_delta(e)]
         self.count = len(emitters)
+        # Nothing to loop over.
+        self.single = len(scene.emitters()) == 1
         self.scalar = not dr.is_jit_v(mi.Float)
-        # End of a loop over the lights; not a literal, so that their number is not part of the kernel.
-        self.limit = self.count if self.scalar else dr.opaque(mi.UInt32, self.count)
         if self.count == 0:
             return
         self.any_positional = any(_positional(e) for e in emitters)
@@ -32,18 +32,21 @@ class Lights:
 
         if self.scalar:
             self.table = [self._read(e, _positional(e)) for e in emitters]
-        else:
-            pointers = scene.emitters_dr()
-            if dr.width(pointers) != self.count:
-                kept = [i for i, e in enumerate(scene.emitters()) if is_delta(e)]
-                pointers = dr.gather(type(pointers), pointers, mi.UInt32(kept))
-            self.table = self._read(pointers, mi.Bool([_positional(e) for e in emitters]))
-            if self.count > 1:
-                dr.eval(self.table)
+            self.limit = self.count
+            return
+        # All emitters: one that is no light, of which there can be one background, is skipped. (A gather of the
+        # lights alone would be simpler, but frozen functions lose its width.)
+        pointers = scene.emitters_dr()
+        self.skip = next((i for i, e in enumerate(scene.emitters()) if not is_delta(e)), None)
+        # End of a loop over them; not a literal, so that their number is not part of the kernel.
+        self.limit = dr.opaque(mi.UInt32, dr.width(pointers))
+        self.table = self._read(pointers, mi.has_flag(pointers.flags(), mi.EmitterFlags.DeltaPosition))
+        if not self.single:
+            dr.eval(self.table)
 
     def _read(self, emitter, positional):
         """(emitter, is it at a position?, the position or the direction toward it, intensity or None)."""
-        it = dr.zeros(mi.Interaction3f, self.count)
+        it = dr.zeros(mi.Interaction3f, 1 if self.scalar else dr.width(emitter))
         ds, _ = emitter.sample_direction(it, mi.Point2f(0))
         at = dr.select(positional, ds.p, mi.Point3f(ds.d))
         return emitter, positional, at, self._intensity(emitter, at, mi.Vector3f(0, 0, 1)) if self.uniform else None
@@ -65,6 +68,8 @@ class Lights:
         lights. The intensity is the emitter's own: no falloff.
         """
         emitter, positional, at, intensity = self._entry(i)
+        if not self.scalar and self.skip is not None:
+            active = active & (i != self.skip)
         direction, distance = mi.Vector3f(at), mi.Float(dr.inf)
         if self.any_positional:
             toward = at - si.p
@@ -82,7 +87,7 @@ class Lights:
     def _entry(self, i):
         if self.scalar:
             return self.table[i]
-        if self.count == 1:
+        if self.single:
             return self.table
         emitter, positional, at, intensity = self.table
         return (

@@ -6,7 +6,12 @@ array is read.
 
 from dataclasses import dataclass
 
+import drjit as dr
 import mitsuba as mi
+
+# Component flags of mirrors and glass, and of what lets rays straight through.
+DELTA = int(mi.BSDFFlags.DeltaReflection) | int(mi.BSDFFlags.DeltaTransmission)
+NULL = int(mi.BSDFFlags.Null)
 
 # A private bit of `mirrorblend`, above all of Mitsuba's own. In a component's flags:
 # this mirror can be taken away. In a context's type mask: take it away, and show what
@@ -17,6 +22,7 @@ MIRRORLESS = 1 << 30
 # Emitters that `whitted` serves, by the names of their plugins.
 LIGHTS = ("point", "spot", "projector", "directional")
 BACKGROUNDS = ("constant", "envmap")
+BACKGROUND_CLASSES = ("ConstantBackgroundEmitter", "EnvironmentMapEmitter")
 
 
 class UnsupportedScene(ValueError):
@@ -25,16 +31,17 @@ class UnsupportedScene(ValueError):
 
 @dataclass(frozen=True)
 class Needs:
-    """What one scene needs of the Whitted integrator."""
+    """What the BSDFs of one scene need of the Whitted integrator."""
 
-    lights: int
-    """Number of delta lights."""
+    mirrors: tuple[tuple[int, tuple], ...]
+    """For each component index at which some BSDF has a delta lobe: the index, and the BSDFs that have delta lobes
+    but none there. Mitsuba's adapters do not all refuse a component that they lack."""
 
-    background: bool
-    """Whether rays that leave the scene see something."""
+    masks: bool
+    """Whether some surface lets rays straight through (`mask`, `null`)."""
 
-    delta_components: tuple[int, ...]
-    """Indices of BSDF components that are delta lobes, over all BSDFs."""
+    masked_mirrors: bool
+    """Whether such a surface also has a mirror."""
 
     branches: int
     """Most delta lobes that one surface can show at once: 0 no mirror, 1 a path, 2 or more a tree."""
@@ -45,23 +52,51 @@ class Needs:
 
 def analyse(scene) -> Needs:
     """The needs of `scene`; raises `UnsupportedScene` for lights that have no single direction."""
-    background = scene.environment()
-    lights = 0
     for emitter in scene.emitters():
-        if is_delta(emitter):
-            lights += 1
-        elif background is None or emitter.ptr != background.ptr:
-            name = emitter.id() or emitter.class_name()
-            raise UnsupportedScene(refusal(name))
-    bsdfs = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in scene.shapes()) if bsdf is not None}
-    components = [[bsdf.flags(i) for i in range(bsdf.component_count())] for bsdf in bsdfs.values()]
+        if not is_delta(emitter) and emitter.class_name() not in BACKGROUND_CLASSES:
+            raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
+    return analyse_bsdfs(_bsdfs(scene))
+
+
+def analyse_bsdfs(bsdfs) -> Needs:
+    """The needs of `bsdfs`."""
+    components = [[bsdf.flags(i) for i in range(bsdf.component_count())] for bsdf in bsdfs]
+    masked = [any(f & NULL for f in flags) for flags in components]
+    mirrors = [
+        set() if mask else {i for i, f in enumerate(flags) if f & DELTA}
+        for flags, mask in zip(components, masked, strict=True)
+    ]
+    special = [bool(found) or mask for found, mask in zip(mirrors, masked, strict=True)]
     return Needs(
-        lights=lights,
-        background=background is not None,
-        delta_components=tuple(sorted({i for flags in components for i, f in enumerate(flags) if _is_mirror(f)})),
+        mirrors=tuple(
+            (i, tuple(b for b, found, other in zip(bsdfs, mirrors, special, strict=True) if other and i not in found))
+            for i in sorted(set().union(*mirrors))
+        ),
+        masks=any(masked),
+        masked_mirrors=any(
+            mask and any(f & DELTA for f in flags) for flags, mask in zip(components, masked, strict=True)
+        ),
         branches=max((_branches(flags) for flags in components), default=0),
         fading_mirrors=any(f & MIRRORLESS for flags in components for f in flags),
     )
+
+
+def _bsdfs(scene) -> list:
+    """Every BSDF that a ray can meet in `scene`."""
+    shapes = scene.shapes()
+    found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in shapes) if bsdf is not None}
+    if dr.is_jit_v(mi.Float) and any(shape.class_name() == "Instance" for shape in shapes):
+        # Mitsuba does not list what is inside of an instance: ask for every BSDF alive, of other scenes too.
+        missing, i = 0, 1
+        while missing < 64:
+            try:
+                bsdf = dr.reinterpret_array(mi.BSDFPtr, mi.UInt32(i))[0]
+                found[bsdf.ptr] = bsdf
+                missing = 0
+            except RuntimeError:
+                missing += 1
+            i += 1
+    return list(found.values())
 
 
 def refusal(emitter: str) -> str:
@@ -78,11 +113,8 @@ def is_delta(emitter) -> bool:
     return mi.has_flag(flags, mi.EmitterFlags.DeltaPosition) or mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
 
 
-def _is_mirror(flags: int) -> bool:
-    return bool(flags & int(mi.BSDFFlags.Delta))
-
-
 def _branches(components: list[int]) -> int:
     """Most delta lobes on one side; a component that names no side counts on both."""
     sides = (int(mi.BSDFFlags.FrontSide), int(mi.BSDFFlags.BackSide))
-    return max(sum(_is_mirror(f) and bool(f & side or not f & sum(sides)) for f in components) for side in sides)
+    deltas = [f for f in components if f & (DELTA | NULL)]
+    return max(sum(bool(f & side or not f & sum(sides)) for f in deltas) for side in sides)

@@ -19,8 +19,19 @@ class Parameter:
         self.upper = upper
         self._check(props, name, upper)
         self.texture = props.get_unbounded_texture(name, default)
-        self.varies = self.texture.is_spatially_varying()
+        self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
+        self.is_zero = not self.varies and self.texture.max() == 0
+        """Whether the parameter is the constant 0, so that what it scales can be left out."""
         self._three_channels = self.varies and _has_three_channels(self.texture)
+
+    def changed(self) -> None:
+        """Look again at a constant that was changed through `mi.traverse`."""
+        if self.varies:
+            return
+        # A 0 that is being optimised counts as non-zero, and a frozen function must not look.
+        frozen = dr.flag(dr.JitFlag.FreezingScope)
+        optimised = dr.grad_enabled(mi.traverse(self.texture)["value"])
+        self.is_zero = not frozen and not optimised and self.texture.max() == 0
 
     def value(self, si, active):
         """The value at `si`, a spectrum; textures clamped to the legal range."""
@@ -31,10 +42,6 @@ class Parameter:
         if self._three_channels:
             return self._clamp(dr.mean(self.texture.eval_3(si, active)))
         return self._clamp(self.texture.eval_1(si, active))
-
-    def is_zero(self) -> bool:
-        """Whether the parameter is the constant 0, so that what it scales can be left out."""
-        return not self.varies and self.texture.max() == 0
 
     def _clamp(self, value):
         # fmax and fmin also turn a texture's NaN into a number.
@@ -61,10 +68,16 @@ class Parameter:
             raise ValueError(f"{props.plugin_name()}: '{name}' must be {wanted}, got {given}")
 
 
-def _has_three_channels(texture) -> bool:
-    """Whether a texture stores three channels, of which `eval_1` would give the luminance instead of the mean."""
+def _has_maximum(texture) -> bool:
+    """Whether a texture is one of Mitsuba's constants, which know their maximum."""
     try:
-        texture.eval_3(dr.zeros(mi.SurfaceInteraction3f))
+        texture.max()
     except RuntimeError:
         return False
     return True
+
+
+def _has_three_channels(texture) -> bool:
+    """Whether a texture is a bitmap of three channels, of which `eval_1` would give the luminance, not the mean."""
+    params = mi.traverse(texture)
+    return "data" in params and dr.shape(params["data"])[-1] == 3

@@ -65,29 +65,38 @@ class Surfaces:
 
 
 class PerShape:
-    """A positive number for each shape; one for all where they are of one order of magnitude."""
+    """A number for each shape; one for all where they are of one order of magnitude."""
+
+    # Exceptions from the smallest number that are compared one by one; more are looked up in a table.
+    FEW = 8
 
     def __init__(self, shapes, values):
         self.jit = dr.is_jit_v(mi.Float)
-        self.largest = max(values, default=1.0)
+        self.largest, self.smallest = max(values, default=1.0), min(values, default=1.0)
+        self.exceptions = [
+            (shape, value) for shape, value in zip(shapes, values, strict=True) if value > 8 * self.smallest
+        ]
+        # The shapes inside of instances are not listed: they may be as large as any.
+        self.uniform = not self.exceptions or any(shape.class_name() == "Instance" for shape in shapes)
         self.table = None
-        if self.largest > 8 * min(values, default=1.0):
+        if self.jit and not self.uniform and len(self.exceptions) > self.FEW:
             self.table = self._tabulate(shapes, values)
 
     def at(self, si, active):
-        """The number of the shape that was hit; shapes not listed (the inside of instances) have the largest."""
-        if self.table is None:
+        """The number of the shape that was hit."""
+        if self.uniform:
             return self.largest
-        if not self.jit:
-            return self.table.get(si.shape.ptr, self.largest)
-        index = dr.minimum(dr.reinterpret_array(mi.UInt32, si.shape), dr.width(self.table) - 1)
-        return dr.gather(mi.Float, self.table, index, active)
+        if self.table is not None:
+            return dr.gather(mi.Float, self.table, dr.reinterpret_array(mi.UInt32, si.shape), active)
+        value = mi.Float(self.smallest)
+        for shape, exception in self.exceptions:
+            value = dr.select(si.shape == (mi.ShapePtr(shape) if self.jit else shape), exception, value)
+        return value
 
-    def _tabulate(self, shapes, values):
-        if not self.jit:
-            return {shape.ptr: value for shape, value in zip(shapes, values, strict=True)}
+    @staticmethod
+    def _tabulate(shapes, values):
         ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0] for shape in shapes]
-        table = [self.largest] * (max(ids) + 2)
+        table = [0.0] * (max(ids) + 1)
         for i, value in zip(ids, values, strict=True):
             table[i] = value
         return mi.Float(table)
@@ -137,8 +146,9 @@ def _is_large(shape, smallest: float, scene) -> bool:
         return False
     box = shape.bbox()
     radius = 0.5 * (box.max[0] - box.min[0])
-    center = mi.Point3f(0.5 * (box.max + box.min))
-    distances = [abs(_length(s.world_transform().translation() - center) - radius) for s in scene.sensors()]
+    center = 0.5 * (box.max + box.min)
+    # The box of a camera is its position, known without reading an array.
+    distances = [abs(dr.norm(sensor.bbox().min - center) - radius) for sensor in scene.sensors()]
     return radius > LARGE * min([smallest, *distances])
 
 

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .lights import Lights
-from .needs import MIRRORLESS, analyse
+from .needs import DELTA, MIRRORLESS, NULL, analyse, analyse_bsdfs
 from .spawn import Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -45,14 +45,12 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
-        # One context for each delta lobe that some BSDF has, one for all the rest.
-        self.mirrors = [
-            mi.BSDFContext(mi.TransportMode.Radiance, int(mi.BSDFFlags.Delta), i) for i in self.needs.delta_components
-        ]
-        self.follows = bool(self.mirrors) and self.most_rays > 1
-        self.smooth = _smooth_context()
-        self.mirrorless = _smooth_context(MIRRORLESS)
-        self.fades = self.needs.fading_mirrors and self.course and not self.unlimited
+        self.mirrors = _mirror_contexts(self.needs)
+        # Scalar variants ask each BSDF when they meet it.
+        self.follows = (self.needs.branches > 0 or not self.jit) and self.most_rays > 1
+        smooth = int(mi.BSDFFlags.All) & ~(DELTA | NULL)
+        self.smooth, self.mirrorless = _context(smooth), _context(smooth | MIRRORLESS)
+        self.fades = (self.needs.fading_mirrors or not self.jit) and self.course and not self.unlimited
 
     def trace(self, ray, active):
         """Radiance along `ray`, and whether it meets a surface or the background."""
@@ -184,12 +182,10 @@ class Tracer:
         last = active & (depth == self.most_hits - 1) if self.fades else None
         light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
         if self.ambient is not None:
-            reflectance = bsdf.eval_diffuse_reflectance(si, active)
+            reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
             if self.fades:
                 # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.
-                context = mi.BSDFContext(
-                    mi.TransportMode.Radiance, int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS, 0xFFFFFFFF
-                )
+                context = _context(int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS)
                 normal = mi.Vector3f(0, 0, dr.sign(mi.Frame3f.cos_theta(si.wi)))
                 bare = mi.unpolarized_spectrum(bsdf.eval(context, si, normal, last)) * dr.pi
                 reflectance = dr.select(last, bare, reflectance)
@@ -197,7 +193,7 @@ class Tracer:
             light += mi.depolarizer(dr.select(active, ambient, 0))
         if self.lights.count == 0:
             return light
-        if self.lights.count == 1:
+        if self.lights.single:
             return light + self._from_light(0, si, bsdf, tolerance, last, active)
         return light + self._from_lights(si, bsdf, tolerance, last, active)
 
@@ -235,21 +231,46 @@ class Tracer:
         """The rays that go on from `si`, one for each kind of delta lobe."""
         active = active & (depth + 1 < self.most_rays)
         branches = []
-        for context in self.mirrors:
-            bs, weight = bsdf.sample(context, si, 0, mi.Point2f(0), active)
-            onward = beta * si.to_world_mueller(weight, -bs.wo, si.wi)
-            strength = dr.max(mi.unpolarized_spectrum(onward))
-            goes_on = active & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) & (strength > self.faintest)
-            d = si.to_world(bs.wo)
-            branches.append((self.surfaces.leave(si, d, tolerance)[0], d, onward, goes_on))
+
+        def branch(d, weight, lanes):
+            onward = beta * weight
+            lanes = lanes & (dr.max(mi.unpolarized_spectrum(onward)) > self.faintest)
+            branches.append((self.surfaces.leave(si, d, tolerance)[0], d, onward, lanes))
+
+        def mirror(context, lanes, scale=1):
+            bs, weight = bsdf.sample(context, si, 0, mi.Point2f(0), lanes)
+            weight = si.to_world_mueller(weight, -bs.wo, si.wi) * scale
+            branch(si.to_world(bs.wo), weight, lanes & ((bs.sampled_type & DELTA) != 0))
+
+        needs, mirrors = (self.needs, self.mirrors) if self.jit else self._needs_of(bsdf)
+        for context, others in mirrors:
+            lanes = active
+            for other in others:
+                lanes = lanes & (bsdf != mi.BSDFPtr(other))
+            mirror(context, lanes)
+        if needs.masks:
+            # The contexts of Mitsuba's `mask` for single components are of no use: it lets through what they exclude.
+            lanes = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+            through = mi.Spectrum(mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, lanes)))
+            branch(si.to_world(-si.wi), through, lanes)
+            if needs.masked_mirrors:
+                mirror(_context(DELTA | NULL), lanes, mi.Spectrum(1) - through)
         return branches
 
+    @staticmethod
+    def _needs_of(bsdf):
+        needs = analyse_bsdfs([bsdf])
+        return needs, _mirror_contexts(needs)
 
-def _smooth_context(more: int = 0):
-    """Context of all lobes but the delta ones."""
-    return mi.BSDFContext(
-        mi.TransportMode.Radiance, int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Delta) | more, 0xFFFFFFFF
-    )
+
+def _mirror_contexts(needs):
+    """A context for each component at which some BSDF has a delta lobe, and the BSDFs that it is not for."""
+    return [(_context(DELTA, i), others) for i, others in needs.mirrors]
+
+
+def _context(mask: int, component: int = 0xFFFFFFFF):
+    """Context of the lobes in `mask`, of all components or of one."""
+    return mi.BSDFContext(mi.TransportMode.Radiance, mask, component)
 
 
 def _fainter(a, b):

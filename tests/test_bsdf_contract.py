@@ -198,6 +198,25 @@ def test_textures_are_read_and_clamped():
     assert dr.allclose(bsdf.eval(mi.BSDFContext(), si, wo) * dr.pi, mi.Color3f(0.5, 0.25, 0))
 
 
+def test_mesh_attributes_are_textures():
+    """Colours in the vertices of a mesh give kd, ks and km."""
+    mesh = mi.Mesh("triangle", 3, 1, has_vertex_normals=False, has_vertex_texcoords=False)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = [-1, -1, 0, 1, -1, 0, 0, 1, 0]
+    params["faces"] = [0, 1, 2]
+    params.update()
+    mesh.add_attribute("vertex_color", 3, [0.2, 0.4, 0.6] * 3)
+    si = mi.load_dict({"type": "scene", "mesh": mesh}).ray_intersect(mi.Ray3f([0, 0, 1], [0, 0, -1]))
+    colour = {"type": "mesh_attribute", "name": "vertex_color"}
+    for bsdf, expected in (
+        ({"type": "phong", "kd": colour, "ks": 0}, (0.2, 0.4, 0.6)),
+        ({"type": "phong", "kd": 0, "ks": colour, "p": 0}, (0.2, 0.4, 0.6)),
+        ({"type": "mirrorblend", "km": colour, "b": {"type": "phong", "kd": 1, "ks": 0}}, (0.8, 0.6, 0.4)),
+    ):
+        value = mi.load_dict(bsdf).eval(mi.BSDFContext(), si, mi.Vector3f(0, 0, 1)) * dr.pi
+        assert dr.allclose(value, mi.Color3f(*expected))
+
+
 @pytest.mark.parametrize(
     ("bsdf", "message"),
     [

@@ -355,6 +355,100 @@ def test_glass_conserves_light():
         assert image == pytest.approx(1, abs=1e-4)
 
 
+GREY_SKY = {"type": "constant", "radiance": 0.5}
+ELSEWHERE = {
+    "nothing": {},
+    "mirror": {"elsewhere": sphere([50, 0, 0], 1.0, {"type": "mirrorblend", "km": 0.5, "b": {"type": "phong"}})},
+    "glass": {"elsewhere": sphere([50, 0, 0], 1.0, {"type": "dielectric"})},
+}
+
+
+def seen(bsdf, elsewhere, variant, flip=False, **integrator):
+    """The centre of a pane of `bsdf` before a grey background, with something else far away."""
+    mi.set_variant(variant)
+    pane = {**floor(bsdf), "flip_normals": flip}
+    sensor = look([0, 1, 0], [0, 0, 0], width=1, fov=1e-3)
+    image = render(scene(integrator, sensor, pane=pane, sky=GREY_SKY, **ELSEWHERE[elsewhere]))
+    mi.set_variant("llvm_ad_rgb")
+    return image[0, 0, 0]
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
+@pytest.mark.parametrize("elsewhere", ELSEWHERE)
+@pytest.mark.parametrize("opacity", (0.0, 0.25, 1.0))
+def test_masks_let_light_through(opacity, elsewhere, variant):
+    """A mask shows 1 - opacity of what is behind, whatever else the scene holds; so does a mask over a mirror."""
+    inside = {"type": "phong", "kd": 0.5, "ks": 0}
+    plain = seen({"type": "mask", "opacity": opacity, "b": inside}, elsewhere, variant)
+    assert plain == pytest.approx(0.5 * (1 - opacity), abs=1e-6)
+    mirror = {"type": "mirrorblend", "km": 0.4, "b": inside}
+    mirrored = seen({"type": "mask", "opacity": opacity, "b": mirror}, elsewhere, variant)
+    assert mirrored == pytest.approx(0.5 * (1 - opacity) + 0.5 * opacity * 0.4, abs=1e-6)
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
+@pytest.mark.parametrize("elsewhere", ELSEWHERE)
+def test_sides_of_a_surface_have_their_own_mirrors(elsewhere, variant):
+    """`twosided` with a mirror on the back only: the front is dull, the back mirrors once."""
+    mirror = {"type": "mirrorblend", "km": 0.4, "b": {"type": "phong"}}
+    bsdf = {"type": "twosided", "a": {"type": "phong"}, "b": mirror}
+    assert seen(bsdf, elsewhere, variant) == 0
+    assert seen(bsdf, elsewhere, variant, flip=True) == pytest.approx(0.2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "expected"),
+    [
+        ({"type": "blendbsdf", "weight": 0.5, "a": {"type": "phong"}, "b": {"type": "conductor"}}, 0.25),
+        ({"type": "mirrorblend", "km": 0.5, "b": {"type": "conductor"}}, 0.5),
+        ({"type": "twosided", "b": {"type": "mirrorblend", "km": 0.3, "b": {"type": "phong"}}}, 0.15),
+    ],
+)
+def test_adapters_around_mirrors(bsdf, expected):
+    """Each passes its share of the mirror on, exactly."""
+    assert seen(bsdf, "nothing", "llvm_ad_rgb") == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
+def test_mirrors_in_instances(variant):
+    """Inside of a shapegroup they are followed as outside."""
+    mi.set_variant(variant)
+    ball = sphere([0, 0, 0], 1.0, {"type": "mirrorblend", "km": 0.6, "b": {"type": "phong", "kd": 0.3}})
+    sensor = look([0, 0, 4], [0, 0, 0], width=8)
+    objects = {"sky": GREY_SKY, "light": point([2, 3, 4])}
+    plain = render(scene(sensor=sensor, ball=ball, **objects))
+    objects["group"] = {"type": "shapegroup", "ball": ball}
+    instance = {"type": "instance", "ref": {"type": "ref", "id": "group"}}
+    assert render(scene(sensor=sensor, ball=instance, **objects)) == pytest.approx(plain, abs=1e-4)
+    assert np.abs(plain - 0.5).max() > 0.1
+
+
+def test_ambient_in_every_variant(any_variant):
+    """Course scene 1 is flat: the same colour under every representation of light."""
+    image = render(course(1, width=9, height=9, spp=4, max_depth=2))
+    middle = [0.73, 0, 0.17] if "mono" not in any_variant else mi.luminance(mi.ScalarColor3f(0.73, 0, 0.17))
+    assert image[4, 4] == pytest.approx(
+        np.broadcast_to(middle, image.shape[2]), abs=0.3 if "spectral" in any_variant else 1e-3
+    )
+    mirror = {"type": "mirrorblend", "km": 0.5, "b": {"type": "phong", "kd": 0.4}}
+    image = render(scene({"ambient": 1.0}, look([0, 1, 0], [0, 0, 0], width=1, fov=1e-3), pane=floor(mirror)))
+    assert image[0, 0].mean() == pytest.approx(0.2, rel=0.3 if "spectral" in any_variant else 1e-5)
+
+
+@pytest.mark.parametrize("sampler", ("independent", "stratified", "ldsampler"))
+@pytest.mark.parametrize("camera", ("perspective", "thinlens"))
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "llvm_ad_spectral", "scalar_rgb"))
+def test_any_number_of_samples(variant, camera, sampler):
+    """Square or not, whatever has to be drawn besides the position: the picture is the same but for noise."""
+    mi.set_variant(variant)
+    lens = {"aperture_radius": 0.01, "focus_distance": 1.0} if camera == "thinlens" else {}
+    sensor = {**look([0, 1, 0], [0, 0, 0], width=4, **lens), "type": camera}
+    sensor["sampler"] = {"type": sampler, "sample_count": 4}
+    loaded = mi.load_dict(scene(sensor=sensor, floor=floor({"type": "phong"}), light=point([0, 0.7, 0])))
+    means = [render(loaded, spp=spp).mean() for spp in (0, 9, 25, 5)]
+    assert means == pytest.approx([means[0]] * 4, rel=0.2 if "spectral" in variant else 0.05)
+
+
 def test_glass_pane_splits_the_light():
     """A thin pane at normal incidence shows (1 - R) of what is behind and R of what is before it."""
     r = ((1.5 - 1) / (1.5 + 1)) ** 2
@@ -395,6 +489,39 @@ def test_no_acne(shape, scale):
     assert lost <= (0.2 if shape == "mesh" else 0)
 
 
+# Frozen functions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", ("one light", "lights", "mirrors", "glass", "sizes"))
+def test_frozen_rendering(case):
+    """`dr.freeze` records a rendering, replays it bit by bit, and follows changed parameters."""
+    bsdf = {"one light": {"type": "phong"}, "glass": {"type": "dielectric"}}.get(
+        case, {"type": "mirrorblend", "km": 0.5, "b": {"type": "blinnphong"}}
+    )
+    objects = {"ball": sphere([0, 0.5, 0], 0.5, bsdf), "a": point([1, 3, 1])}
+    if case != "one light":
+        objects["b"] = {"type": "directional", "direction": [1, -2, 0.5]}
+        objects["sky"] = {"type": "constant", "radiance": 0.2}
+    size = 1000.0 if case == "sizes" else 1.0
+    objects["ground"] = sphere([0, -size, 0], size, {"type": "phong", "kd": 0.5, "ks": 0})
+    loaded = mi.load_dict(scene(sensor=look([0, 2, 4], [0, 0.3, 0]), **objects))
+    key = next(key for key in mi.traverse(loaded).keys() if key.endswith("kd.value"))  # noqa: SIM118
+
+    def step(scene, value, seed):
+        params = mi.traverse(scene)
+        params[key] = value
+        params.update()
+        return mi.render(scene, seed=seed)
+
+    frozen = dr.freeze(step)
+    pictures = []
+    for seed, value in enumerate((0.2, 0.9, 0.4, 0.9)):
+        pictures.append(np.array(frozen(loaded, dr.opaque(mi.Float, value), mi.UInt32(seed))))
+        assert np.array_equal(pictures[-1], np.array(step(loaded, dr.opaque(mi.Float, value), seed)))
+    assert np.array_equal(pictures[1], pictures[3]) and not np.array_equal(pictures[0], pictures[1])
+    assert frozen.n_recordings <= 3
+
+
 # Bad input --------------------------------------------------------------------------------------------
 
 
@@ -418,16 +545,14 @@ def test_bad_parameters_are_errors_at_load(parameters, message):
 
 @pytest.mark.parametrize("emitter", ("area", "sunsky"))
 def test_lights_without_a_direction_are_refused(emitter):
-    """An area light has no single direction: the error names it and points to `path`."""
-    objects = {"floor": floor({"type": "phong"})}
+    """An area light has no single direction, a sky with a sun is more than a background: the error names it."""
     if emitter == "area":
-        objects["lamp"] = {**sphere([0, 1, 0], 0.1, {"type": "phong"}), "emitter": {"type": "area"}}
+        lamp = {**sphere([0, 1, 0], 0.1, {"type": "phong"}), "emitter": {"type": "area", "id": "the lamp"}}
     else:
-        objects["sky"] = {"type": "point", "position": [0, 1, 0]}
-        objects["lamp"] = {**sphere([0, 1, 0], 0.1, {"type": "phong"}), "emitter": {"type": "area", "radiance": 2.0}}
+        lamp = {"type": "sunsky", "id": "the lamp"}
     with pytest.raises(RuntimeError) as error:
-        render(scene(**objects))
-    assert "whitted: cannot render with the emitter" in str(error.value.__cause__)
+        render(scene(floor=floor({"type": "phong"}), lamp=lamp))
+    assert "whitted: cannot render with the emitter 'the lamp'" in str(error.value.__cause__)
     assert "'path'" in str(error.value.__cause__)
 
 
@@ -435,9 +560,12 @@ def test_no_scene_is_kept_alive():
     """Rendering leaves nothing behind that would slow later scenes down."""
     import gc
 
+    def alive():
+        gc.collect()
+        return sum(type(o).__name__ in ("Phong", "Whitted", "Tracer") for o in gc.get_objects())
+
+    before = alive()
     for _ in range(3):
         render(scene(floor=floor({"type": "phong"}), light=point([0, 1, 0])))
-    gc.collect()
-    alive = [o for o in gc.get_objects() if type(o).__name__ in ("Phong", "Whitted", "Tracer")]
-    assert not alive
+    assert alive() == before
     dr.sync_thread()

@@ -23,6 +23,8 @@ class LobeBSDF(mi.BSDF):
         self.kd, self.ks, self.p = (
             Parameter(props, name, default) for name, default in zip(COEFFICIENTS, DEFAULTS, strict=True)
         )
+        # Here Dr.Jit finds them when it freezes a function; inside of `Parameter` it would not.
+        self.textures = [parameter.texture for parameter in (self.kd, self.ks, self.p)]
         self.parameters_changed([])
 
     def traverse(self, cb):
@@ -30,13 +32,16 @@ class LobeBSDF(mi.BSDF):
             cb.put(parameter.name, parameter.texture, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
+        for parameter in (self.kd, self.ks, self.p):
+            if parameter.name in keys:
+                parameter.changed()
         # Only what can be non-zero is a component.
         components = []
         self.diffuse_index = self.glossy_index = None
-        if not self.kd.is_zero():
+        if not self.kd.is_zero:
             self.diffuse_index = len(components)
             components.append(mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide)
-        if not self.ks.is_zero():
+        if not self.ks.is_zero:
             self.glossy_index = len(components)
             components.append(mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide)
         if self.kd.varies or self.ks.varies or self.p.varies:
@@ -83,7 +88,7 @@ class LobeBSDF(mi.BSDF):
         return self._eval_pdf(ctx, si, wo, active)
 
     def eval_diffuse_reflectance(self, si, active=True):
-        return self.kd.value(si, active)
+        return mi.Spectrum(self.kd.value(si, active))
 
     def to_string(self):
         lines = [f"  {p.name} = {p.texture}".replace("\n", "\n  ") for p in (self.kd, self.ks, self.p)]

@@ -47,6 +47,8 @@ class MirrorBlend(mi.BSDF):
         if len(nested) != 1:
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
+        # Here Dr.Jit finds it when it freezes a function; inside of `Parameter` it would not.
+        self.textures = [self.km.texture]
         self.parameters_changed([])
 
     def traverse(self, cb):
@@ -54,9 +56,12 @@ class MirrorBlend(mi.BSDF):
         cb.put("nested_bsdf", self.nested, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
+        if "km" in keys:
+            self.km.changed()
         nested = [self.nested.flags(i) for i in range(self.nested.component_count())]
         self.both_sides = mi.has_flag(self.nested.flags(), mi.BSDFFlags.BackSide)
-        self.mirrors = not self.km.is_zero()
+        self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
+        self.mirrors = not self.km.is_zero
         components = nested
         if self.mirrors:
             mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
@@ -72,6 +77,8 @@ class MirrorBlend(mi.BSDF):
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         mirror, nested_ctx = self._split(ctx)
+        if not mirror and not nested_ctx:
+            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         if not mirror:
             bs, weight = self.nested.sample(nested_ctx, si, sample1, sample2, active)
             return self._shift(bs), weight * self._nested_scale(ctx, si, active)
@@ -120,7 +127,8 @@ class MirrorBlend(mi.BSDF):
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     def eval_diffuse_reflectance(self, si, active=True):
-        return self.nested.eval_diffuse_reflectance(si, active) * (1 - self.km.value(si, active))
+        reflectance = mi.unpolarized_spectrum(self.nested.eval_diffuse_reflectance(si, active))
+        return mi.Spectrum(reflectance * (1 - self.km.value(si, active)))
 
     def to_string(self):
         nested = str(self.nested).replace("\n", "\n  ")
@@ -134,10 +142,10 @@ class MirrorBlend(mi.BSDF):
         """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
         first = 1 if self.mirrors else 0
         mirror = self.mirrors and ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
+        if not ctx.type_mask & self.nested_lobes or ctx.component < first:
+            return mirror, None
         if ctx.component == ALL_COMPONENTS:
             return mirror, ctx
-        if ctx.component < first:
-            return mirror, None
         return mirror, mi.BSDFContext(ctx.mode, ctx.type_mask, ctx.component - first)
 
     def _shift(self, bs):

@@ -1,6 +1,6 @@
 """What the stable lobes cost inside a render: interleaved with the naive ones, as ratios of medians.
 
-    python tests/benchmarks/lobes.py [REPEATS]
+python tests/benchmarks/lobes.py [REPEATS]
 """
 
 import sys
