@@ -91,10 +91,11 @@ def _bsdfs(scene) -> list:
         while missing < 64:
             try:
                 bsdf = dr.reinterpret_array(mi.BSDFPtr, mi.UInt32(i))[0]
-                found[bsdf.ptr] = bsdf
-                missing = 0
             except RuntimeError:
-                missing += 1
+                bsdf = None
+            missing = missing + 1 if bsdf is None else 0
+            if bsdf is not None:
+                found[bsdf.ptr] = bsdf
             i += 1
     return list(found.values())
 
