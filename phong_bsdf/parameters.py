@@ -11,6 +11,10 @@ import drjit as dr
 import mitsuba as mi
 
 
+# What an infinite texel becomes; the sum of three channels is still a number.
+LARGEST = 1e38
+
+
 class Parameter:
     """One texture-valued BSDF parameter with its legal range [0, `upper`]."""
 
@@ -47,8 +51,7 @@ class Parameter:
         # fmax and fmin also turn a texture's NaN into a number.
         if not self.varies:
             return value
-        value = dr.fmax(value, 0)
-        return value if self.upper == math.inf else dr.fmin(value, self.upper)
+        return dr.fmin(dr.fmax(value, 0), min(self.upper, LARGEST))
 
     @staticmethod
     def _check(props, name: str, upper: float) -> None:
