@@ -10,7 +10,6 @@ import math
 import drjit as dr
 import mitsuba as mi
 
-
 # What an infinite texel becomes; the sum of three channels is still a number.
 LARGEST = 1e38
 
