@@ -137,7 +137,7 @@ def stability(folder, quick, seed, variant, threads):
             cases = sweeps.QUICK_CASES if quick else sweeps.CASES
             rows = list(sweeps.sweep(cases=cases, seed=seed, on_progress=lambda share: show("sweeping", share)))
         written = report.write(folder, rows) if folder else []
-    click.echo(report.table(rows), nl=False)
+    click.echo(f"{report.table(rows)}\n{report.inputs(rows)}", nl=False)
     if written:
         click.echo(f"\nWritten: {', '.join(map(str, written))}")
     missed = sum(not row.passed for row in rows)

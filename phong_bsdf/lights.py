@@ -54,8 +54,9 @@ class Lights:
     def _intensity(self, emitter, at, direction, it=None, active=True):
         """Intensity (for directional lights irradiance) sent against `direction`."""
         it = dr.zeros(mi.Interaction3f) if it is None else it
-        # Far enough from the light for the difference of the positions to keep its digits.
-        reach = dr.maximum(dr.max(dr.abs(at)), 1)
+        # Far enough from the light for the difference of the positions to keep its digits, for a uniform light
+        # one of them; no further, or a faint light would be lost in 1/r^2.
+        reach = dr.maximum(dr.max(dr.abs(at)) * (2**-20 if self.uniform else 2**-6), 1)
         it.p = at - direction * reach
         ds, weight = emitter.sample_direction(it, mi.Point2f(0), active)
         distance = dr.select(mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition), ds.dist, 1)

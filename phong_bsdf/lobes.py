@@ -21,24 +21,21 @@ import math
 import drjit as dr
 
 # Below this, a cosine is treated as this: tan(theta)^2 and its derivatives stay finite
-# in float32. There tan(theta) > 1e8: the condition number leaves no digit to be lost.
+# in float32. Of an exponent above 1e-9 the condition number leaves no digit to be lost.
 TINY = 1e-9
-
-# Densities are capped here: a float32 exponent of 1e38 would otherwise give infinity.
-LARGEST = 1e38
 
 # log(xi) stays finite at xi = 0; float32's smallest normal number is 1.2e-38.
 SMALLEST_XI = 1.2e-38
 
-# 1 / (8 pi) as the sum of two float32 numbers.
+# 1 / (8 pi) and 1 / (4 pi), each as the sum of two float32 numbers.
 INV_8_PI = (0.03978873789310455, 1 / (8 * math.pi) - 0.03978873789310455)
+INV_4_PI = (2 * INV_8_PI[0], 2 * INV_8_PI[1])
 
 
 def log1p(t):
-    """log(1 + t) for t >= 0, accurate for tiny t (Kahan's correction of the rounded sum 1 + t)."""
-    u = 1 + t
-    lost = u == 1
-    return dr.select(lost, t, dr.log(u) * t / dr.select(lost, 1, u - 1))
+    """log(1 + t) for t >= 0, accurate for tiny t: what the rounding of 1 + t took is added to first order."""
+    u, lost = _sum(t, 1)
+    return dr.log(u) + lost / u
 
 
 def expm1(x):
@@ -54,38 +51,65 @@ def phong(wi, wo, p):
 
 def blinnphong(wi, wo, p):
     """max(0, n.h)^p with h the bisector of wi and wo."""
-    tan2, _ = _blinnphong_angle(wi, wo)
-    return _cos_power(tan2, p)
+    return _cos_power(_blinnphong_tan2(wi, wo), p)
 
 
 def phong_pdf(wi, wo, p):
-    """Density per solid angle of `sample_phong`: (p + 1) / (2 pi) (r.v)^p."""
+    """Density per solid angle of `sample_phong`: (p + 1) / (2 pi) (r.v)^p, twice that where samples are mirrored to."""
     tan2, cos = _phong_angle(wi, wo)
-    # Samples reach a right angle from the axis and no further, also for p = 0.
-    x = 4 * _cos_power(tan2, p)
-    return dr.select(cos > 0, _over_8_pi(dr.minimum(dr.fma(p, x, x), LARGEST)), 0)
+    # The mirror image of wo across the lobe's axis is below the surface.
+    twice = (2 * wi.z * cos < wo.z) & (p > 0)
+    x = dr.select(twice, 8, 4) * _cos_power(tan2, p)
+    return dr.select((cos > 0) | (p == 0), _over_8_pi(dr.fma(p, x, x)), 0)
 
 
 def blinnphong_pdf(wi, wo, p):
-    """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h)."""
-    tan2, length = _blinnphong_angle(wi, wo)
-    # For unit wi and wo, wo.h = |wi + wo| / 2.
-    x = _cos_power(tan2, p) / (0.5 * length)
-    return _over_8_pi(dr.minimum(dr.fma(p, x, x), LARGEST))
+    """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h), or twice that."""
+    # For unit wi and wo, 2 wo.h = |h| with h = wi + wo.
+    h, h_lost = _sum(wi, wo)
+    z = dr.maximum(h.z, TINY)
+    y2, z2 = dr.square(h.y), dr.square(z)
+    length2, lost = _sum(z2, dr.fma(h.x, h.x, y2))
+    rcp = dr.rsqrt(length2)
+    # How far rcp is from 1 / |h|. Rounding errors have no derivative.
+    longer = _longer(wi, wo, h)
+    lost += 2 * dr.dot(h, h_lost) + dr.fma(h.y, h.y, -y2) + dr.fma(z, z, -z2) - dr.square(longer)
+    length = length2 * rcp
+    short = dr.detach(dr.fma(-length, rcp, 1) - dr.fma(length2, rcp, -length) * rcp - lost * dr.square(rcp))
+    # The product of the lengths of wi and wo, unit only up to rounding, is 1 - excess.
+    excess = longer + dr.fma(-wi.x, wi.x, dr.fma(-wi.y, wi.y, dr.fma(-wi.z, wi.z, 1)))
+    short -= excess
+    # Five factors in a row, each rounded, would be too many: each product keeps what its rounding took.
+    scale = _product((rcp, 0.5 * short * rcp), INV_4_PI)
+    scale, lost = _product(scale, _sum(p, 1))
+    lobe = _cos_power(_blinnphong_tan2(wi, wo), p)
+    # The light that belongs to the mirror image of h across the normal is below the surface.
+    twice = 2 * wi.z * (2 * z2 - length2) < wo.z * length2
+    return dr.select(twice, 2, 1) * dr.fma(lobe, scale, lobe * lost)
 
 
 def sample_phong(wi, p, xi):
-    """Direction `wo` about the mirror direction of `wi`, from a point `xi` of the unit square."""
+    """Direction `wo` from the lobe about the mirror direction of `wi`, for p = 0 about n; `xi` in the unit square.
+
+    None is below the surface: those that would be are mirrored across the lobe's axis.
+    """
     v = _sample_cos_power(type(wi), p, xi)
     # The reflection that takes +z to r. The lobe is symmetric about its axis, so it serves as a rotation.
     axis = type(wi)(-wi.x, -wi.y, 1 + wi.z)
-    return axis * (2 * dr.dot(v, axis) / dr.squared_norm(axis)) - v
+    wo = _mirror(v, axis)
+    wo = dr.select(wo.z < 0, _mirror(_across(v, wi), axis), wo)
+    return dr.select(p == 0, v, wo)
 
 
 def sample_blinnphong(wi, p, xi):
-    """Direction `wo`: `wi` mirrored about a half vector drawn from the lobe; `xi` in the unit square."""
+    """Direction `wo`: `wi` mirrored about a half vector drawn from the lobe; `xi` in the unit square.
+
+    Where `wo` would be below the surface, the half vector is mirrored across the normal. That helps up to theta_h = 45
+    degrees; beyond, `wo` can be below.
+    """
     h = _sample_cos_power(type(wi), p, xi)
-    return h * (2 * dr.dot(wi, h)) - wi
+    wo = _mirror(wi, h)
+    return dr.select(wo.z < 0, _mirror(wi, _across(h, wi)), wo)
 
 
 def phong_normalization(p):
@@ -101,17 +125,6 @@ def blinnphong_normalization(p):
     return _over_8_pi(5 + ((p - m) + dr.fma(m, m - 4, 3) / (1 + (p + m))))
 
 
-def phong_albedo_normal(p):
-    """Integral of the lobe over the hemisphere of `wo` at normal incidence, over pi."""
-    return 2 / (p + 1)
-
-
-def blinnphong_albedo_normal(p):
-    """Integral of the lobe over the hemisphere of `wo` at normal incidence, over pi."""
-    # wo stays above the horizon while theta_h < 45 degrees.
-    return 8 * (1 - dr.exp2(-0.5 * p - 1)) / (p + 2)
-
-
 def _phong_angle(wi, wo):
     """tan(theta)^2 and cos(theta), up to a positive factor, between the mirror direction of wi and wo."""
     # |r x wo| and r.wo with r = (-wi.x, -wi.y, wi.z). The fused operations keep
@@ -119,22 +132,27 @@ def _phong_angle(wi, wo):
     x = _sum_of_products(wi.y, wo.z, wi.z, wo.y)
     y = _sum_of_products(wi.z, wo.x, wi.x, wo.z)
     z = _sum_of_products(wi.y, wo.x, -wi.x, wo.y)
-    cos = dr.fma(wi.z, wo.z, -dr.fma(wi.x, wo.x, wi.y * wo.y))
-    rcp = 1 / dr.maximum(cos, TINY)
-    return dr.square(x * rcp) + dr.square(y * rcp) + dr.square(z * rcp), cos
+    # r.wo with what its roundings took: near a right angle that decides on which side wo is.
+    a, b, c = wi.x * wo.x, wi.y * wo.y, wi.z * wo.z
+    across, lost = _sum(a, b)
+    cos, lost_too = _sum(c, -across)
+    lost += dr.fma(wi.x, wo.x, -a) + dr.fma(wi.y, wo.y, -b)
+    cos += lost_too + dr.fma(wi.z, wo.z, -c) - lost
+    return _squared_norm(v / dr.maximum(cos, TINY) for v in (x, y, z)), cos
 
 
-def _blinnphong_angle(wi, wo):
-    """tan(theta)^2 between the normal and the bisector of wi and wo, and the length of the sum of the two."""
+def _blinnphong_tan2(wi, wo):
+    """tan(theta)^2 of the angle between the normal and the bisector of wi and wo."""
+    # Directions are unit only up to rounding; the bisector needs equal lengths.
     h = wi + wo
-    # Directions are unit only up to rounding. The bisector needs equal lengths:
-    # to first order, |wi| / |wo| = 1 + (|wi|^2 - |wo|^2) / 2.
-    h = dr.fma(wo, 0.5 * dr.dot(wi - wo, h), h)
+    h = dr.fma(wo, _longer(wi, wo, h), h)
     z = dr.maximum(h.z, TINY)
-    # |h|^2 / |wi|^2 to first order, from 1 - |wi|^2, whose roundings cancel with its terms.
-    excess = dr.fma(-wi.x, wi.x, dr.fma(-wi.y, wi.y, dr.fma(-wi.z, wi.z, 1)))
-    length2 = dr.fma(h.x, h.x, dr.fma(h.y, h.y, dr.square(z)))
-    return dr.square(h.x / z) + dr.square(h.y / z), dr.sqrt(dr.fma(length2, excess, length2))
+    return _squared_norm((h.x / z, h.y / z))
+
+
+def _longer(wi, wo, h):
+    """|wi| - |wo| for vectors of a length of almost 1, whose sum is h."""
+    return 0.5 * dr.dot(wi - wo, h)
 
 
 def _over_8_pi(x):
@@ -149,6 +167,38 @@ def _sum_of_products(a, b, c, d):
     """a b + c d, with one rounding of c d made good: accurate also where the terms cancel."""
     cd = c * d
     return dr.fma(a, b, cd) + dr.fma(c, d, -cd)
+
+
+def _mirror(v, axis):
+    """`v` turned by 180 degrees about `axis`."""
+    return axis * (2 * dr.dot(v, axis) / dr.squared_norm(axis)) - v
+
+
+def _across(v, wi):
+    """`v` mirrored in the plane through the normal that is perpendicular to the plane of incidence of `wi`."""
+    scale = 2 * dr.fma(v.x, wi.x, v.y * wi.y) / dr.maximum(dr.fma(wi.x, wi.x, dr.square(wi.y)), TINY)
+    return type(v)(dr.fma(-scale, wi.x, v.x), dr.fma(-scale, wi.y, v.y), v.z)
+
+
+def _squared_norm(components):
+    """Sum of squares; of ratios rather than a ratio of sums, which would not have finite derivatives everywhere."""
+    total = 0
+    for x in components:
+        total = dr.fma(x, x, total)
+    return total
+
+
+def _sum(a, b):
+    """a + b, and what its rounding took."""
+    total = a + b
+    from_b = total - a
+    return total, (a - (total - from_b)) + (b - from_b)
+
+
+def _product(a, b):
+    """Product of two numbers that are pairs: a value, and what roundings took from it."""
+    product = a[0] * b[0]
+    return product, dr.fma(a[0], b[0], -product) + dr.fma(a[0], b[1], a[1] * b[0])
 
 
 def _sample_cos_power(vector, p, xi):

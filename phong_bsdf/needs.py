@@ -81,6 +81,15 @@ def analyse_bsdfs(bsdfs) -> Needs:
     )
 
 
+def wake(scene) -> None:
+    """Tell the BSDFs of `scene` which constants are being differentiated: a 0 among them must not be left out."""
+    params = mi.traverse(scene)
+    for key, (_, _, node, _) in params.properties.items():
+        if isinstance(node, mi.Texture) and dr.grad_enabled(params[key]) and dr.width(params[key]) == 1:
+            params.set_dirty(key)
+    params.update()
+
+
 def _bsdfs(scene) -> list:
     """Every BSDF that a ray can meet in `scene`."""
     shapes = scene.shapes()

@@ -10,31 +10,42 @@ import math
 import drjit as dr
 import mitsuba as mi
 
-# What an infinite texel becomes; the sum of three channels is still a number.
+# Beyond, a finite number counts as this, so that no sum or product with it overflows: three
+# channels can still be added.
 LARGEST = 1e38
+
+# An exponent beyond counts as this: its highlight is smaller than what float32 directions resolve.
+LARGEST_EXPONENT = 1e15
 
 
 class Parameter:
     """One texture-valued BSDF parameter with its legal range [0, `upper`]."""
 
-    def __init__(self, props, name: str, default: float, upper: float = math.inf):
+    def __init__(self, props, name: str, default: float, upper: float = math.inf, largest: float = LARGEST):
         self.name = name
-        self.upper = upper
+        self.largest = min(upper, largest)
         self._check(props, name, upper)
         self.texture = props.get_unbounded_texture(name, default)
         self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
-        self.is_zero = not self.varies and self.texture.max() == 0
-        """Whether the parameter is the constant 0, so that what it scales can be left out."""
+        self._zero = not self.varies and self.texture.max() == 0
         self._three_channels = self.varies and _has_three_channels(self.texture)
+
+    @property
+    def left_out(self) -> bool:
+        """Whether the parameter is the constant 0, and not being differentiated: what it scales is left out."""
+        return self._zero and not self.differentiated
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether derivatives with respect to the parameter are asked for."""
+        params = mi.traverse(self.texture)
+        return any(dr.grad_enabled(params[key]) for key in params.keys())  # noqa: SIM118  (it is no dict)
 
     def changed(self) -> None:
         """Look again at a constant that was changed through `mi.traverse`."""
-        if self.varies:
-            return
-        # A 0 that is being optimised counts as non-zero, and a frozen function must not look.
-        frozen = dr.flag(dr.JitFlag.FreezingScope)
-        optimised = dr.grad_enabled(mi.traverse(self.texture)["value"])
-        self.is_zero = not frozen and not optimised and self.texture.max() == 0
+        # Neither a frozen function nor one that is differentiated can look at a value.
+        blind = self.varies or dr.flag(dr.JitFlag.FreezingScope) or self.differentiated
+        self._zero = not blind and self.texture.max() == 0
 
     def value(self, si, active):
         """The value at `si`, a spectrum; textures clamped to the legal range."""
@@ -50,10 +61,9 @@ class Parameter:
         # fmax and fmin also turn a texture's NaN into a number.
         if not self.varies:
             return value
-        return dr.fmin(dr.fmax(value, 0), min(self.upper, LARGEST))
+        return dr.fmin(dr.fmax(value, 0), self.largest)
 
-    @staticmethod
-    def _check(props, name: str, upper: float) -> None:
+    def _check(self, props, name: str, upper: float) -> None:
         if name not in props:
             return
         given = props[name]
@@ -68,6 +78,9 @@ class Parameter:
         if not all(0 <= x <= upper and x < math.inf for x in numbers):
             wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
             raise ValueError(f"{props.plugin_name()}: '{name}' must be {wanted}, got {given}")
+        if max(numbers) > self.largest:
+            clamped = [min(x, self.largest) for x in numbers]
+            props[name] = clamped[0] if isinstance(given, int | float) else mi.ScalarColor3f(clamped)
 
 
 def _has_maximum(texture) -> bool:

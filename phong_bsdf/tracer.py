@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .lights import Lights
-from .needs import DELTA, MIRRORLESS, NULL, analyse, analyse_bsdfs
+from .needs import DELTA, MIRRORLESS, NULL, analyse, analyse_bsdfs, wake
 from .spawn import Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -26,6 +26,8 @@ class Tracer:
 
     def __init__(self, scene, *, convention, max_depth, shadows, ambient, hide_emitters, gradients=False):
         self.scene = scene
+        if gradients:
+            wake(scene)
         self.needs = analyse(scene)
         self.lights = Lights(scene)
         self.surfaces = Surfaces(scene)
@@ -34,6 +36,7 @@ class Tracer:
         self.shadows = shadows
         self.ambient = ambient
         self.hide_background = hide_emitters
+        self.gradients = gradients
         # A mirror of weight 0 still has a derivative.
         self.faintest = FAINTEST if max_depth == -1 else -1 if gradients else 0
         self.jit = dr.is_jit_v(mi.Float)
@@ -221,7 +224,9 @@ class Tracer:
         elif self.lights.any_positional:
             intensity = intensity * dr.select(distance < dr.inf, 1 / dr.square(distance), 1)
         value = value * mi.depolarizer(intensity)
-        active = active & (dr.max(dr.abs(mi.unpolarized_spectrum(value))) > 0)
+        if not self.gradients:
+            # A light that adds nothing needs no shadow ray; but nothing can have a derivative.
+            active = active & (dr.max(dr.abs(mi.unpolarized_spectrum(value))) > 0)
         if self.shadows:
             shadow = self.surfaces.shadow_ray(si, direction, distance, tolerance)
             active = active & (self.scene.ray_test(shadow, coherent=False, active=active) == False)  # noqa: E712

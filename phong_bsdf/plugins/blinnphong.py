@@ -43,10 +43,11 @@ class BlinnPhong(lobe_bsdf.LobeBSDF):
         {"type": "blinnphong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.2]}, "ks": 0.6, "p": 200}
     """
 
+    NAME = "blinnphong"
     lobe = staticmethod(lobes.blinnphong)
     lobe_pdf = staticmethod(lobes.blinnphong_pdf)
     sample_lobe = staticmethod(lobes.sample_blinnphong)
-    lobe_albedo = staticmethod(lobes.blinnphong_albedo_normal)
+    normalization = staticmethod(lobes.blinnphong_normalization)
 
 
 mi.register_bsdf("blinnphong", BlinnPhong)

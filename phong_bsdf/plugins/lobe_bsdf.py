@@ -3,53 +3,62 @@
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf.parameters import Parameter
+from phong_bsdf import albedo, energy
+from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
 
-# name of the diffuse scale, of the lobe's scale, of the exponent
+# Each vocabulary: name of the diffuse scale, of the lobe's scale, of the exponent.
 COEFFICIENTS = ("kd", "ks", "p")
 REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
+ENERGY = "ensure_energy_conservation"
 DEFAULTS = (0.5, 0.2, 30.0)
+
+ALL_COMPONENTS = 0xFFFFFFFF
 
 
 class LobeBSDF(mi.BSDF):
-    """Base class; the derived class says which lobe by four static methods.
+    """Base class; the derived class says which lobe by `NAME` and four static methods.
 
-    `lobe(wi, wo, p)`, `lobe_pdf(wi, wo, p)`, `sample_lobe(wi, p, xi)`, `lobe_albedo(p)`:
+    `lobe(wi, wo, p)`, `lobe_pdf(wi, wo, p)`, `sample_lobe(wi, p, xi)`, `normalization(p)`:
     see `phong_bsdf.lobes`.
     """
 
     def __init__(self, props):
         super().__init__(props)
-        self.kd, self.ks, self.p = (
-            Parameter(props, name, default) for name, default in zip(COEFFICIENTS, DEFAULTS, strict=True)
+        names = _vocabulary(props)
+        self.reflectances = names == REFLECTANCES
+        self.diffuse, self.specular, self.exponent = (
+            Parameter(props, name, default, largest=largest)
+            for name, default, largest in zip(names, DEFAULTS, (LARGEST, LARGEST, LARGEST_EXPONENT), strict=True)
         )
-        # Here Dr.Jit finds them when it freezes a function; inside of `Parameter` it would not.
-        self.textures = [parameter.texture for parameter in (self.kd, self.ks, self.p)]
-        self.parameters_changed([])
+        self.parameters = (self.diffuse, self.specular, self.exponent)
+        self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
+        self.scale = None
+        # Here Dr.Jit finds arrays when it freezes a function; inside of helper objects it would not.
+        self.textures = [parameter.texture for parameter in self.parameters]
+        self.albedo = albedo.Table(self.NAME, self.reflectances, mi.Float)
+        self.albedo_ratios = self.albedo.ratios
+        self.parameters_changed(list(names))
+        if self.scale is not None:
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"{self.NAME}: '{names[0]}' + '{names[1]}' exceed 1, so both are multiplied by {self.scale[0]:.3g}; "
+                f"set '{ENERGY}' to false to keep them",
+            )
 
     def traverse(self, cb):
-        for parameter in (self.kd, self.ks, self.p):
+        for parameter in self.parameters:
             cb.put(parameter.name, parameter.texture, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
-        for parameter in (self.kd, self.ks, self.p):
+        for parameter in self.parameters:
             if parameter.name in keys:
                 parameter.changed()
-        # Only what can be non-zero is a component.
-        components = []
-        self.diffuse_index = self.glossy_index = None
-        if not self.kd.is_zero:
-            self.diffuse_index = len(components)
-            components.append(mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide)
-        if not self.ks.is_zero:
-            self.glossy_index = len(components)
-            components.append(mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide)
-        if self.kd.varies or self.ks.varies or self.p.varies:
-            components = [flags | mi.BSDFFlags.SpatiallyVarying for flags in components]
-        self.m_components = [int(flags) for flags in components]
-        self.m_flags = 0
-        for flags in self.m_components:
-            self.m_flags |= flags
+        self._find_components()
+        # A frozen or differentiated parameter cannot be looked at: the last scale stays.
+        blind = dr.flag(dr.JitFlag.FreezingScope) or self.diffuse.differentiated or self.specular.differentiated
+        if self.conserves_energy and not blind:
+            scale = energy.scale(self.diffuse, self.specular)
+            self.scale = dr.opaque(mi.Float, scale) if scale != 1 else None
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         cos_theta_i = mi.Frame3f.cos_theta(si.wi)
@@ -62,7 +71,7 @@ class LobeBSDF(mi.BSDF):
         # Choose a lobe, then a direction.
         bs.eta = 1
         if glossy:
-            p = self.p.value_1(si, active)
+            p = self.exponent.value_1(si, active)
             choose_glossy = (sample1 < self._glossy_share(si, p, active)) if diffuse else True
             bs.wo = self.sample_lobe(si.wi, p, sample2)
             bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
@@ -74,7 +83,10 @@ class LobeBSDF(mi.BSDF):
             bs.sampled_type = dr.select(choose_glossy, bs.sampled_type, kind) if glossy else kind
             bs.sampled_component = dr.select(choose_glossy, bs.sampled_component, index) if glossy else index
 
+        # Where samples go is not differentiated, so neither is how many go there: E[weight] has the right derivative.
+        bs.wo = dr.detach(bs.wo)
         value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
+        bs.pdf = dr.detach(bs.pdf)
         active = active & (bs.pdf > 0)
         return bs, dr.select(active, value / dr.select(active, bs.pdf, 1), 0)
 
@@ -88,10 +100,10 @@ class LobeBSDF(mi.BSDF):
         return self._eval_pdf(ctx, si, wo, active)
 
     def eval_diffuse_reflectance(self, si, active=True):
-        return mi.Spectrum(self.kd.value(si, active))
+        return mi.Spectrum(self._scaled(self.diffuse.value(si, active)))
 
     def to_string(self):
-        lines = [f"  {p.name} = {p.texture}".replace("\n", "\n  ") for p in (self.kd, self.ks, self.p)]
+        lines = [f"  {p.name} = {p.texture}".replace("\n", "\n  ") for p in self.parameters]
         return f"{type(self).__name__}[\n" + ",\n".join(lines) + "\n]"
 
     def _eval_pdf(self, ctx, si, wo, active, value=True, pdf=True):
@@ -102,34 +114,72 @@ class LobeBSDF(mi.BSDF):
         f, density = mi.UnpolarizedSpectrum(0), mi.Float(0)
 
         if glossy:
-            p = self.p.value_1(si, active)
+            p = self.exponent.value_1(si, active)
             if value:
-                f = self.ks.value(si, active) * self.lobe(si.wi, wo, p)
+                f = self.specular.value(si, active) * self.lobe(si.wi, wo, p)
+                if self.reflectances:
+                    f = f * (dr.pi * self.normalization(p) * cos_theta_o)
             if pdf:
                 density = self.lobe_pdf(si.wi, wo, p)
         if diffuse and value:
-            f = f + self.kd.value(si, active) * cos_theta_o
+            f = f + self.diffuse.value(si, active) * cos_theta_o
         if diffuse and pdf:
             cosine = cos_theta_o * dr.inv_pi
             density = dr.lerp(cosine, density, self._glossy_share(si, p, active)) if glossy else cosine
 
-        f = dr.select(active, f * dr.inv_pi, 0)
+        f = dr.select(active, self._scaled(f * dr.inv_pi), 0)
         return mi.depolarizer(f), dr.select(active, density, 0)
+
+    def _scaled(self, value):
+        return value if self.scale is None else value * self.scale
+
+    def _glossy_share(self, si, p, active):
+        """Probability of sampling the lobe: its part of what is reflected at this angle of incidence."""
+        diffuse = dr.mean(self.diffuse.value(si, active))
+        glossy = dr.mean(self.specular.value(si, active)) * self.albedo(mi.Frame3f.cos_theta(si.wi), p)
+        total = diffuse + glossy
+        return dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5)
+
+    # Only what can be non-zero is a component --------------------------------------------------------
+
+    def _find_components(self):
+        self.shown = not self.diffuse.left_out, not self.specular.left_out
+        kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
+        flags = int(mi.BSDFFlags.FrontSide)
+        if any(parameter.varies for parameter in self.parameters):
+            flags |= int(mi.BSDFFlags.SpatiallyVarying)
+        self.m_components = [int(kind) | flags for kind, shown in zip(kinds, self.shown, strict=True) if shown]
+        self.m_flags = 0
+        for component in self.m_components:
+            self.m_flags |= component
+        self.diffuse_index, self.glossy_index = 0, int(self.shown[0])
 
     def _enabled(self, ctx):
         """Whether the context asks for the diffuse and for the glossy component, and they exist."""
-
-        def asked(index, flag):
-            return index is not None and ctx.is_enabled(flag, index)
-
+        if self.shown != (not self.diffuse.left_out, not self.specular.left_out):
+            # A 0 is being differentiated.
+            self._find_components()
+        diffuse, glossy = self.shown
         return (
-            asked(self.diffuse_index, mi.BSDFFlags.DiffuseReflection),
-            asked(self.glossy_index, mi.BSDFFlags.GlossyReflection),
+            diffuse and ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, self.diffuse_index),
+            glossy and ctx.is_enabled(mi.BSDFFlags.GlossyReflection, self.glossy_index),
         )
 
-    def _glossy_share(self, si, p, active):
-        """Probability of sampling the lobe: its part of what is reflected at normal incidence."""
-        diffuse = dr.mean(self.kd.value(si, active))
-        glossy = dr.mean(self.ks.value(si, active)) * self.lobe_albedo(p)
-        total = diffuse + glossy
-        return dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5)
+
+def _vocabulary(props) -> tuple[str, str, str]:
+    """The names that the scene uses; the lecture's where it uses none."""
+    coefficients = [name for name in COEFFICIENTS if name in props]
+    reflectances = [name for name in (*REFLECTANCES, ENERGY) if name in props]
+    if coefficients and reflectances:
+        raise ValueError(
+            f"{props.plugin_name()}: '{coefficients[0]}' and '{reflectances[0]}' belong to different vocabularies; "
+            f"use {', '.join(COEFFICIENTS)} or {', '.join(REFLECTANCES)}"
+        )
+    return REFLECTANCES if reflectances else COEFFICIENTS
+
+
+def _boolean(props, name: str, default: bool) -> bool:
+    value = props.get(name, default)
+    if not isinstance(value, bool):
+        raise ValueError(f"{props.plugin_name()}: '{name}' must be true or false, got {value}")
+    return value

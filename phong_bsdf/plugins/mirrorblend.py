@@ -61,7 +61,7 @@ class MirrorBlend(mi.BSDF):
         nested = [self.nested.flags(i) for i in range(self.nested.component_count())]
         self.both_sides = mi.has_flag(self.nested.flags(), mi.BSDFFlags.BackSide)
         self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
-        self.mirrors = not self.km.is_zero
+        self.mirrors = not self.km.left_out
         components = nested
         if self.mirrors:
             mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
@@ -87,7 +87,7 @@ class MirrorBlend(mi.BSDF):
         km = self.km.value(si, active)
         cos_theta_i = mi.Frame3f.cos_theta(si.wi)
         facing = active & ((cos_theta_i != 0) if self.both_sides else (cos_theta_i > 0))
-        share = dr.mean(km) if nested_ctx else mi.Float(1)
+        share = self._share(km) if nested_ctx else mi.Float(1)
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = mi.reflect(si.wi)
         bs.eta = 1
@@ -140,6 +140,9 @@ class MirrorBlend(mi.BSDF):
 
     def _split(self, ctx):
         """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
+        if self.mirrors == self.km.left_out:
+            # A 0 is being differentiated.
+            self.parameters_changed([])
         first = 1 if self.mirrors else 0
         mirror = self.mirrors and ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
         if not ctx.type_mask & self.nested_lobes or ctx.component < first:
@@ -147,6 +150,12 @@ class MirrorBlend(mi.BSDF):
         if ctx.component == ALL_COMPONENTS:
             return mirror, ctx
         return mirror, mi.BSDFContext(ctx.mode, ctx.type_mask, ctx.component - first)
+
+    def _share(self, km):
+        """Probability of sampling the mirror. It is not differentiated: only what a sample carries is."""
+        share = dr.detach(dr.mean(km))
+        # Neither of the two that are blended may be missing from a derivative.
+        return dr.clip(share, 0.1, 0.9) if self.km.differentiated else share
 
     def _shift(self, bs):
         bs.sampled_component += 1 if self.mirrors else 0

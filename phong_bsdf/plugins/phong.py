@@ -43,10 +43,11 @@ class Phong(lobe_bsdf.LobeBSDF):
         {"type": "phong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.2]}, "ks": 0.6, "p": 50}
     """
 
+    NAME = "phong"
     lobe = staticmethod(lobes.phong)
     lobe_pdf = staticmethod(lobes.phong_pdf)
     sample_lobe = staticmethod(lobes.sample_phong)
-    lobe_albedo = staticmethod(lobes.phong_albedo_normal)
+    normalization = staticmethod(lobes.phong_normalization)
 
 
 mi.register_bsdf("phong", Phong)

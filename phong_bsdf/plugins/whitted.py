@@ -98,7 +98,7 @@ class Whitted(Base):
             convention=self.convention,
             max_depth=self.depth,
             shadows=self.shadows,
-            ambient=None if self.ambient.is_zero else self.ambient,
+            ambient=None if self.ambient.left_out else self.ambient,
             hide_emitters=self.hide_emitters,
             gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
         )

@@ -27,13 +27,28 @@ def table(rows: Sequence[Row]) -> str:
     return tables.text_table(headings, lines)
 
 
+def inputs(rows: Sequence[Row]) -> str:
+    """The inputs of the largest errors, with the digits that float32 needs."""
+    return tables.text_table(
+        ("quantity", "lobe", "p", "error", "at"),
+        [(row.quantity, row.lobe, f"{row.p:g}", tables.number(row.error), _inputs(row)) for row in rows],
+    )
+
+
+def _inputs(row: Row) -> str:
+    names = ("wi", "wo") if len(row.error_inputs) == 6 else ("xi",) if row.quantity == "sample" else ("p",)
+    size = len(row.error_inputs) // len(names)
+    vectors = (row.error_inputs[i * size : (i + 1) * size] for i in range(len(names)))
+    return "  ".join(f"{name} {' '.join(f'{x:.9g}' for x in v)}" for name, v in zip(names, vectors, strict=True))
+
+
 def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write stability.csv, .json, .txt, and, where matplotlib is installed, one .svg for each quantity."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     tables.write_csv(folder / "stability.csv", rows)
     tables.write_json(folder / "stability.json", rows)
-    replace_file(folder / "stability.txt", table(rows))
+    replace_file(folder / "stability.txt", f"{table(rows)}\n{inputs(rows)}")
     return [folder / f"stability.{kind}" for kind in ("csv", "json", "txt")] + _plots(folder, rows)
 
 
