@@ -16,7 +16,7 @@ SCALAR_POINTS = 64
 def scale(diffuse, specular) -> float:
     """What to multiply both `Parameter`s with; 1 where the rule is kept.
 
-    In spectral variants the rule is checked at 16 wavelengths. A mesh attribute, which only the mesh
+    In spectral variants the rule is checked at 16 visible wavelengths. A mesh attribute, which only the mesh
     knows, counts as 0.
     """
     first, second = _maxima(diffuse), _maxima(specular)
@@ -33,7 +33,7 @@ def _maxima(parameter) -> list[float]:
     params = mi.traverse(parameter.texture)
     if "data" in params and not mi.is_spectral:
         return [float(x) for x in dr.ravel(dr.max(mi.TensorXf(params["data"]), axis=(0, 1)))]
-    wavelengths = [360 + 30 * i for i in range(16)] if mi.is_spectral else [0.0] * 4
+    wavelengths = [400.0 + 20 * i for i in range(16)] if mi.is_spectral else [0.0] * 4
     found = []
     for i in range(0, len(wavelengths), 4):
         values = [_channels(parameter.value(si, True)) for si in _lookups(parameter, wavelengths[i : i + 4])]
@@ -45,7 +45,7 @@ def _lookups(parameter, wavelengths):
     """Interactions that see the whole texture."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     if mi.is_spectral:
-        si.wavelengths = mi.Wavelength(wavelengths)
+        si.wavelengths = type(si.wavelengths)(wavelengths)
     if not parameter.varies:
         yield si
     elif dr.is_jit_v(mi.Float):

@@ -24,8 +24,10 @@ class Parameter:
     def __init__(self, props, name: str, default: float, upper: float = math.inf, largest: float = LARGEST):
         self.name = name
         self.largest = min(upper, largest)
-        self._check(props, name, upper)
-        self.texture = props.get_unbounded_texture(name, default)
+        numbers = self._check(props, name, upper)
+        # Only a colour up to 1 is a reflectance, with the spectrum that native BSDFs would give it.
+        get = props.get_texture if max(numbers, default=1) <= 1 else props.get_unbounded_texture
+        self.texture = get(name, default)
         self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
         self._zero = not self.varies and self.texture.max() == 0
         self._three_channels = self.varies and _has_three_channels(self.texture)
@@ -63,9 +65,10 @@ class Parameter:
             return value
         return dr.fmin(dr.fmax(value, 0), self.largest)
 
-    def _check(self, props, name: str, upper: float) -> None:
+    def _check(self, props, name: str, upper: float) -> list[float]:
+        """The number or colour that was given, if it was."""
         if name not in props:
-            return
+            return []
         given = props[name]
         if isinstance(given, bool | str):
             numbers = [math.nan]
@@ -74,13 +77,14 @@ class Parameter:
         elif props.type(name) == mi.Properties.Type.Color:
             numbers = [float(c) for c in given]
         else:
-            return
+            return []
         if not all(0 <= x <= upper and x < math.inf for x in numbers):
             wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
             raise ValueError(f"{props.plugin_name()}: '{name}' must be {wanted}, got {given}")
         if max(numbers) > self.largest:
             clamped = [min(x, self.largest) for x in numbers]
             props[name] = clamped[0] if isinstance(given, int | float) else mi.ScalarColor3f(clamped)
+        return numbers
 
 
 def _has_maximum(texture) -> bool:

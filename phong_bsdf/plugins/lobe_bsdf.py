@@ -32,16 +32,16 @@ class LobeBSDF(mi.BSDF):
         )
         self.parameters = (self.diffuse, self.specular, self.exponent)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
-        self.scale = None
+        self.scale = 1.0
         # Here Dr.Jit finds arrays when it freezes a function; inside of helper objects it would not.
         self.textures = [parameter.texture for parameter in self.parameters]
         self.albedo = albedo.Table(self.NAME, self.reflectances, mi.Float)
         self.albedo_ratios = self.albedo.ratios
         self.parameters_changed(list(names))
-        if self.scale is not None:
+        if self.scale != 1:
             mi.Log(
                 mi.LogLevel.Warn,
-                f"{self.NAME}: '{names[0]}' + '{names[1]}' exceed 1, so both are multiplied by {self.scale[0]:.3g}; "
+                f"{self.NAME}: '{names[0]}' + '{names[1]}' exceed 1, so both are multiplied by {self.scale:.3g}; "
                 f"set '{ENERGY}' to false to keep them",
             )
 
@@ -57,8 +57,9 @@ class LobeBSDF(mi.BSDF):
         # A frozen or differentiated parameter cannot be looked at: the last scale stays.
         blind = dr.flag(dr.JitFlag.FreezingScope) or self.diffuse.differentiated or self.specular.differentiated
         if self.conserves_energy and not blind:
-            scale = energy.scale(self.diffuse, self.specular)
-            self.scale = dr.opaque(mi.Float, scale) if scale != 1 else None
+            self.scale = energy.scale(self.diffuse, self.specular)
+            # In an array, another scale is not another kernel.
+            self.scale_array = dr.opaque(mi.Float, self.scale) if dr.is_jit_v(mi.Float) else self.scale
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         cos_theta_i = mi.Frame3f.cos_theta(si.wi)
@@ -131,7 +132,7 @@ class LobeBSDF(mi.BSDF):
         return mi.depolarizer(f), dr.select(active, density, 0)
 
     def _scaled(self, value):
-        return value if self.scale is None else value * self.scale
+        return value if self.scale == 1 else value * self.scale_array
 
     def _glossy_share(self, si, p, active):
         """Probability of sampling the lobe: its part of what is reflected at this angle of incidence."""
