@@ -11,8 +11,12 @@ import drjit as dr
 import mitsuba as mi
 
 # Beyond, a finite number counts as this, so that no sum or product with it overflows: three
-# channels can still be added.
-LARGEST = 1e38
+# channels can still be added, and a sample's weight is at most nine times it.
+LARGEST = 1e37
+
+# Integrators drop what has the weight 0, and its derivative with it. So a 0 that is differentiated
+# counts as this, which no float32 picture shows.
+FAINT = 1e-15
 
 # An exponent beyond counts as this: its highlight is smaller than what float32 directions resolve.
 LARGEST_EXPONENT = 1e15
@@ -51,7 +55,8 @@ class Parameter:
 
     def value(self, si, active):
         """The value at `si`, a spectrum; textures clamped to the legal range."""
-        return self._clamp(self.texture.eval(si, active))
+        value = self._clamp(self.texture.eval(si, active))
+        return value + FAINT if (self._zero or self.varies) and self.differentiated else value
 
     def value_1(self, si, active):
         """The value at `si` as one number: the mean over the channels; textures clamped to the legal range."""

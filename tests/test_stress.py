@@ -132,3 +132,33 @@ def test_exponents_from_0_to_1e6():
     truth = np.cos(theta) ** p
     # The interpolated exponent has a few roundings: p ln cos(theta) of them.
     assert image == pytest.approx(truth, rel=1e-5)
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
+@pytest.mark.parametrize("intensity", (1e-30, 1e-36, 1e30))
+@pytest.mark.parametrize("distance", (1e-4, 1, 1e4, 1e7))
+@pytest.mark.parametrize("kind", ("point", "spot"))
+def test_intensity_is_that_of_the_light_at_any_distance(kind, distance, intensity, variant):
+    """No falloff is applied and undone: kd I comes out of a plane seen straight from above, exactly."""
+    if (kind, intensity, distance) in {("spot", 1e-36, 1e4), ("spot", 1e-30, 1e7), ("spot", 1e-36, 1e7)}:
+        pytest.skip("the intensity of a spot is read at 1/64 of its distance from the origin: 1/r^2 underflows")
+    mi.set_variant(variant)
+    t = mi.ScalarTransform4f()
+    toward = t.look_at([0, 0, distance], [0, 0, 0], [0, 1, 0])
+    light = {"position": [0, 0, distance]} if kind == "point" else {"to_world": toward, "cutoff_angle": 40}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "whitted"},
+            "sensor": {
+                "type": "perspective",
+                "fov": 0.01,
+                "to_world": t.look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": 1},
+            },
+            "plane": {"type": "rectangle", "bsdf": {"type": "phong", "kd": 0.5, "ks": 0}},
+            "light": {"type": kind, "intensity": intensity, **light},
+        }
+    )
+    assert np.array(mi.render(scene)) == pytest.approx(0.5 * intensity, rel=1e-5)

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.needs import MIRRORLESS
-from phong_bsdf.parameters import Parameter
+from phong_bsdf.parameters import FAINT, Parameter
 
 ALL_COMPONENTS = 0xFFFFFFFF  # BSDFContext.component's default
 
@@ -106,7 +106,7 @@ class MirrorBlend(mi.BSDF):
         )
         nested = self._shift(nested)
         nested.pdf *= rest
-        nested_weight = nested_weight * mi.Spectrum((1 - km) / rest)
+        nested_weight = nested_weight * mi.Spectrum(self._rest(km) / rest)
         return dr.select(choose_mirror, bs, nested), dr.select(choose_mirror, weight, nested_weight)
 
     def eval(self, ctx, si, wo, active=True):
@@ -136,7 +136,11 @@ class MirrorBlend(mi.BSDF):
 
     def _nested_scale(self, ctx, si, active):
         """What is left of the nested BSDF, as a factor that keeps polarization."""
-        return mi.Spectrum(1 if ctx.type_mask & MIRRORLESS else 1 - self.km.value(si, active))
+        return mi.Spectrum(1 if ctx.type_mask & MIRRORLESS else self._rest(self.km.value(si, active)))
+
+    def _rest(self, km):
+        """What the mirror leaves to the nested BSDF."""
+        return 1 - km + FAINT if self.km.differentiated else 1 - km
 
     def _split(self, ctx):
         """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
