@@ -1,16 +1,20 @@
-"""Makes the figures and the table of docs/stability.md: `make figures`."""
+"""Makes the figures of docs/stability.md and docs/albedo.md, and the table of the former: `make figures`."""
 
+import io
+import itertools
 from contextlib import contextmanager
 from pathlib import Path
 
 import phong_bsdf  # noqa: F401
 
 import mitsuba as mi  # isort: skip
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 mi.set_variant("llvm_ad_rgb")
 
-from phong_bsdf import images, stability  # noqa: E402
+from phong_bsdf import albedo, images, stability  # noqa: E402
 from phong_bsdf.plugins.blinnphong import BlinnPhong  # noqa: E402
 from phong_bsdf.report import stability as report  # noqa: E402
 
@@ -48,8 +52,30 @@ def highlight(p):
     return np.array(mi.render(mi.load_dict(scene)))
 
 
+def albedo_curves():
+    """The directional albedo of both lobes in both vocabularies, over the angle of incidence."""
+    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    degrees = np.linspace(0, 90, 181)
+    cos = np.cos(np.radians(degrees)).clip(0)
+    for axes, (reflectance, lobe) in zip(
+        figure.subplots(2, 2, sharex=True).flat, itertools.product((False, True), albedo.LOBES), strict=True
+    ):
+        for p in (0, 1, 10, 100, 1000):
+            values = albedo.directional_albedo(lobe, cos, p, reflectance=reflectance)
+            axes.plot(degrees, values, label=f"p = {p}")
+        axes.set(title=f"{lobe}, {'specular_reflectance' if reflectance else 'ks'} = 1", ylim=(0, None))
+    figure.axes[0].legend()
+    for axes in figure.axes[2:]:
+        axes.set_xlabel("angle of incidence in degrees")
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    images.replace_file(IMAGES / "albedo.svg", text.getvalue())
+
+
 def main():
-    """Writes docs/images/highlights.png, docs/images/stability-value.svg, and the table into docs/stability.md."""
+    """Writes the pictures into docs/images, and the table into docs/stability.md."""
+    albedo_curves()
     rows = []
     for lobe in (stability.LOBES["blinnphong"]["value"][1], BlinnPhong.lobe):
         with formula(lobe):

@@ -71,7 +71,11 @@ class Table:
         first = row * SIZE + column
         lower = dr.lerp(self._at(first), self._at(first + 1), x)
         upper = dr.lerp(self._at(first + SIZE), self._at(first + (SIZE + 1)), x)
-        return dr.lerp(lower, upper, y) * _size(self.lobe, self.reflectance, cos_theta_i, p)
+        value = dr.lerp(lower, upper, y) * _size(self.lobe, self.reflectance, cos_theta_i, p)
+        if self.lobe == "phong":
+            # Where p = 0 the lobe is 1 behind its axis, too.
+            value = dr.select(p == 0, 1 if self.reflectance else 2, value)
+        return value
 
     def _at(self, index):
         if self.jit:
@@ -103,7 +107,8 @@ def _size(lobe, reflectance, cos, p):
 def tabulate() -> dict[str, np.ndarray]:
     """The tables' numbers, 16-bit, by their names; rows for exponents, columns for angles."""
     x = np.linspace(0, 1, SIZE)[None, :]
-    p = (np.maximum(np.linspace(0, 1, SIZE), 1e-7) ** -2 - 1)[:, None]
+    # For p = 0 what the neighbours of 0 have.
+    p = np.maximum(np.maximum(np.linspace(0, 1, SIZE), 1e-7) ** -2 - 1, 1e-12)[:, None]
     sharpness = 0.8 * np.sqrt(p + 1) + 0.5
     cos = np.clip(np.sin(np.pi / 2 * np.minimum(x / (1 + sharpness - x * sharpness), 1)), 0, 1)
     tables = {}
@@ -124,10 +129,12 @@ def _name(lobe, reflectance):
 
 def _phong(cos, p, reflectance):
     if not reflectance:
-        return 2 / (p + 1) * _part_above(cos, p)
+        # For p = 0 the lobe is 1 behind its axis, too.
+        return 2 / (p + 1) * np.where(p == 0, 1, _part_above(cos, p))
     # n = cos r + sin t splits the cosine; the part along t is a line integral over the cut.
     log_sin = 0.5 * np.log1p(-(np.minimum(cos, 1 - 1e-16) ** 2))
-    return cos * _part_above(cos, p + 1) + np.exp((p + 2) * log_sin) * _beta((p + 1) / 2) / (2 * np.pi)
+    albedo = cos * _part_above(cos, p + 1) + np.exp((p + 2) * log_sin) * _beta((p + 1) / 2) / (2 * np.pi)
+    return np.where(p == 0, 1, albedo)
 
 
 def _part_above(cos, p):

@@ -18,13 +18,26 @@ class BlinnPhong(lobe_bsdf.LobeBSDF):
     energy conserving, by design, and one-sided: black from behind (wrap it in `twosided`).
     For a highlight of the size of `phong`'s, p has to be about four times larger.
 
-    ====  ==============================  =========  =======  =====================================
-    name  type                            range      default  meaning
-    ====  ==============================  =========  =======  =====================================
-    kd    number, RGB, spectrum, texture  >= 0       0.5      diffuse coefficient
-    ks    number, RGB, spectrum, texture  >= 0       0.2      height of the highlight
-    p     number or texture               >= 0       30       exponent; of a colour texture its mean
-    ====  ==============================  =========  =======  =====================================
+    ==========================  ==============================  ======  =======  =====================================
+    name                        type                            range   default  meaning
+    ==========================  ==============================  ======  =======  =====================================
+    kd                          number, RGB, spectrum, texture  >= 0    0.5      diffuse coefficient
+    ks                          number, RGB, spectrum, texture  >= 0    0.2      height of the highlight
+    p                           number or texture               >= 0    30       exponent; of a colour texture its mean
+    ==========================  ==============================  ======  =======  =====================================
+
+    or, normalised and energy conserving, after Mitsuba 0.6's `phong`:
+
+    ==========================  ==============================  ======  =======  =====================================
+    name                        type                            range   default  meaning
+    ==========================  ==============================  ======  =======  =====================================
+    diffuse_reflectance         number, RGB, spectrum, texture  >= 0    0.5      rho_d, albedo of the diffuse base
+    specular_reflectance        number, RGB, spectrum, texture  >= 0    0.2      rho_s, albedo at normal incidence
+    exponent                    number or texture               >= 0    30       p
+    ensure_energy_conservation  boolean                                 true     scale both where their sum exceeds 1
+    ==========================  ==============================  ======  =======  =====================================
+
+    Then f = rho_d / pi + rho_s c(p) (n.h)^p, c(p) = (p + 2) (p + 4) / (8 pi (2^(-p/2) + p)).
 
     All are differentiable. Values of textures outside the range are clamped to it.
 

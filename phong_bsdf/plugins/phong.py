@@ -17,13 +17,26 @@ class Phong(lobe_bsdf.LobeBSDF):
     which as a BSDF is f cos(theta_o) = (k_d cos(theta_o) + k_s (r.v)^p) / pi. It is not
     energy conserving, by design, and one-sided: black from behind (wrap it in `twosided`).
 
-    ====  ==============================  =========  =======  =====================================
-    name  type                            range      default  meaning
-    ====  ==============================  =========  =======  =====================================
-    kd    number, RGB, spectrum, texture  >= 0       0.5      diffuse coefficient
-    ks    number, RGB, spectrum, texture  >= 0       0.2      height of the highlight
-    p     number or texture               >= 0       30       exponent; of a colour texture its mean
-    ====  ==============================  =========  =======  =====================================
+    ==========================  ==============================  ======  =======  =====================================
+    name                        type                            range   default  meaning
+    ==========================  ==============================  ======  =======  =====================================
+    kd                          number, RGB, spectrum, texture  >= 0    0.5      diffuse coefficient
+    ks                          number, RGB, spectrum, texture  >= 0    0.2      height of the highlight
+    p                           number or texture               >= 0    30       exponent; of a colour texture its mean
+    ==========================  ==============================  ======  =======  =====================================
+
+    or, normalised and energy conserving, as in Mitsuba 0.6:
+
+    ==========================  ==============================  ======  =======  =====================================
+    name                        type                            range   default  meaning
+    ==========================  ==============================  ======  =======  =====================================
+    diffuse_reflectance         number, RGB, spectrum, texture  >= 0    0.5      rho_d, albedo of the diffuse base
+    specular_reflectance        number, RGB, spectrum, texture  >= 0    0.2      rho_s, albedo at normal incidence
+    exponent                    number or texture               >= 0    30       p
+    ensure_energy_conservation  boolean                                 true     scale both where their sum exceeds 1
+    ==========================  ==============================  ======  =======  =====================================
+
+    Then f = rho_d / pi + rho_s c(p) (r.v)^p, c(p) = (p + 2) / (2 pi).
 
     All are differentiable. Values of textures outside the range are clamped to it.
 
