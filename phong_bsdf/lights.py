@@ -10,6 +10,10 @@ import mitsuba as mi
 
 from .needs import is_delta
 
+# So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
+# mirrors costs as much as three lights, but its compile time does not grow with their number.
+FEW = 4
+
 # Emitters whose intensity is the same in all directions.
 UNIFORM = ("PointLight", "DirectionalEmitter")
 
@@ -20,9 +24,7 @@ class Lights:
     def __init__(self, scene):
         emitters = [e for e in scene.emitters() if is_delta(e)]
         self.count = len(emitters)
-        # Nothing to loop over.
-        self.single = len(scene.emitters()) == 1
-        self.scalar = not dr.is_jit_v(mi.Float)
+        self.few = not dr.is_jit_v(mi.Float) or self.count <= FEW
         if self.count == 0:
             return
         self.any_positional = any(_positional(e) for e in emitters)
@@ -30,7 +32,7 @@ class Lights:
         # Wavelengths differ from ray to ray: a spectral intensity cannot be tabulated.
         self.uniform = not mi.is_spectral and all(e.class_name() in UNIFORM for e in emitters)
 
-        if self.scalar:
+        if self.few:
             self.table = [self._read(e, _positional(e)) for e in emitters]
             self.limit = self.count
             return
@@ -41,12 +43,11 @@ class Lights:
         # End of a loop over them; not a literal, so that their number is not part of the kernel.
         self.limit = dr.opaque(mi.UInt32, dr.width(pointers))
         self.table = self._read(pointers, mi.has_flag(pointers.flags(), mi.EmitterFlags.DeltaPosition))
-        if not self.single:
-            dr.eval(self.table)
+        dr.eval(self.table)
 
     def _read(self, emitter, positional):
         """(emitter, is it at a position?, the position or the direction toward it, intensity or None)."""
-        it = dr.zeros(mi.Interaction3f, 1 if self.scalar else dr.width(emitter))
+        it = dr.zeros(mi.Interaction3f, 1 if self.few else dr.width(emitter))
         ds, _ = emitter.sample_direction(it, mi.Point2f(0))
         at = dr.select(positional, ds.p, mi.Point3f(ds.d))
         return emitter, positional, at, self._intensity(emitter, at, mi.Vector3f(0, 0, 1)) if self.uniform else None
@@ -69,16 +70,17 @@ class Lights:
         lights. The intensity is the emitter's own: no falloff.
         """
         emitter, positional, at, intensity = self._entry(i)
-        if not self.scalar and self.skip is not None:
+        if not self.few and self.skip is not None:
             active = active & (i != self.skip)
         direction, distance = mi.Vector3f(at), mi.Float(dr.inf)
-        if self.any_positional:
+        if positional is True or (positional is not False and self.any_positional):
             toward = at - si.p
             length = dr.norm(toward)
             active = active & ((length > 0) | (positional == False))  # noqa: E712
             unit = toward / dr.select(length > 0, length, 1)
-            direction = dr.select(positional, unit, direction) if self.any_directional else unit
-            distance = dr.select(positional, length, dr.inf) if self.any_directional else length
+            mixed = positional is not True and self.any_directional
+            direction = dr.select(positional, unit, direction) if mixed else unit
+            distance = dr.select(positional, length, dr.inf) if mixed else length
         if intensity is None:
             it = dr.zeros(mi.Interaction3f)
             it.time, it.wavelengths = si.time, si.wavelengths
@@ -86,10 +88,8 @@ class Lights:
         return direction, distance, intensity, active
 
     def _entry(self, i):
-        if self.scalar:
+        if self.few:
             return self.table[i]
-        if self.single:
-            return self.table
         emitter, positional, at, intensity = self.table
         return (
             dr.gather(type(emitter), emitter, i),

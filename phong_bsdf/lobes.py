@@ -17,6 +17,8 @@ with finite derivatives everywhere.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import drjit as dr
 
@@ -123,6 +125,38 @@ def blinnphong_normalization(p):
     # no product that could overflow, and the roundings of small terms only.
     m = expm1(dr.maximum(-0.5 * math.log(2) * p, -80))
     return _over_8_pi(5 + ((p - m) + dr.fma(m, m - 4, 3) / (1 + (p + m))))
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """One lobe's functions."""
+
+    value: Callable
+    pdf: Callable
+    sample: Callable
+    normalization: Callable
+
+
+LOBES = {
+    "phong": Lobe(phong, phong_pdf, sample_phong, phong_normalization),
+    "blinnphong": Lobe(blinnphong, blinnphong_pdf, sample_blinnphong, blinnphong_normalization),
+}
+
+
+def reflected(lobe, reflectances, wi, wo, diffuse, specular, p):
+    """f cos(theta_o) of a diffuse base and the lobe named `lobe`, above the surface; None leaves a part out.
+
+    `reflectances` says what the scales mean: (diffuse cos + specular lobe) / pi, or
+    (diffuse / pi + specular c(p) lobe) cos.
+    """
+    f = 0
+    if specular is not None:
+        f = specular * LOBES[lobe].value(wi, wo, p)
+        if reflectances:
+            f = f * (dr.pi * LOBES[lobe].normalization(p) * wo.z)
+    if diffuse is not None:
+        f = f + diffuse * wo.z
+    return f * dr.inv_pi
 
 
 def _phong_angle(wi, wo):

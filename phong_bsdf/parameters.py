@@ -35,6 +35,7 @@ class Parameter:
         self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
         self._zero = not self.varies and self.texture.max() == 0
         self._three_channels = self.varies and _has_three_channels(self.texture)
+        self._constant = None
 
     @property
     def left_out(self) -> bool:
@@ -52,6 +53,15 @@ class Parameter:
         # Neither a frozen function nor one that is differentiated can look at a value.
         blind = self.varies or dr.flag(dr.JitFlag.FreezingScope) or self.differentiated
         self._zero = not blind and self.texture.max() == 0
+        self._constant = None
+
+    def constant(self) -> tuple[float, ...] | None:
+        """The value as numbers, one for each channel; None where it varies or is differentiated."""
+        if self.varies or self.differentiated:
+            return None
+        if self._constant is None:
+            self._constant = tuple(dr.ravel(self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))).numpy().tolist())
+        return self._constant
 
     def value(self, si, active):
         """The value at `si`, a spectrum; textures clamped to the legal range."""

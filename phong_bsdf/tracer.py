@@ -7,8 +7,10 @@ what the scene has, and builds the kernel without the rest.
 import drjit as dr
 import mitsuba as mi
 
+from .dispatch import Dispatch
 from .lights import Lights
-from .needs import DELTA, MIRRORLESS, NULL, analyse, analyse_bsdfs, wake
+from .materials import tabulate
+from .needs import analyse, wake
 from .spawn import Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -24,7 +26,9 @@ MOST_WAITING = 24
 class Tracer:
     """An integrator's options and what one scene needs of it."""
 
-    def __init__(self, scene, *, convention, max_depth, shadows, ambient, hide_emitters, gradients=False):
+    def __init__(
+        self, scene, *, convention, max_depth, shadows, ambient, hide_emitters, gradients=False, specialize=True
+    ):
         self.scene = scene
         if gradients:
             wake(scene)
@@ -48,11 +52,10 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
-        self.mirrors = _mirror_contexts(self.needs)
+        table = tabulate(scene) if specialize and not gradients else None
+        self.materials = table or Dispatch(self.needs)
         # Scalar variants ask each BSDF when they meet it.
         self.follows = (self.needs.branches > 0 or not self.jit) and self.most_rays > 1
-        smooth = int(mi.BSDFFlags.All) & ~(DELTA | NULL)
-        self.smooth, self.mirrorless = _context(smooth), _context(smooth | MIRRORLESS)
         self.fades = (self.needs.fading_mirrors or not self.jit) and self.course and not self.unlimited
 
     def trace(self, ray, active):
@@ -174,51 +177,42 @@ class Tracer:
             return light, seen, []
 
         si.p = self.surfaces.refine(si, ray)
-        bsdf = si.bsdf()
         shaded = hit & (depth < self.most_hits)
+        material = self.materials.at(si, shaded)
         tolerance = self.surfaces.tolerance(si, shaded)
-        light = light + beta * self._shade(si, bsdf, tolerance, depth, shaded)
-        return light, seen, self._reflect(si, bsdf, tolerance, beta, depth, shaded) if self.follows else []
+        light = light + beta * self._shade(si, material, tolerance, depth, shaded)
+        return light, seen, self._reflect(si, material, tolerance, beta, depth, shaded) if self.follows else []
 
-    def _shade(self, si, bsdf, tolerance, depth, active):
+    def _shade(self, si, material, tolerance, depth, active):
         """Light from the lights and the ambient term, toward the viewer."""
         last = active & (depth == self.most_hits - 1) if self.fades else None
         light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
         if self.ambient is not None:
-            reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
-            if self.fades:
-                # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.
-                context = _context(int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS)
-                normal = mi.Vector3f(0, 0, dr.sign(mi.Frame3f.cos_theta(si.wi)))
-                bare = mi.unpolarized_spectrum(bsdf.eval(context, si, normal, last)) * dr.pi
-                reflectance = dr.select(last, bare, reflectance)
+            reflectance = self.materials.diffuse_reflectance(material, si, last, active)
             ambient = self.ambient.value(si, active) * reflectance
             light += mi.depolarizer(dr.select(active, ambient, 0))
         if self.lights.count == 0:
             return light
-        if self.lights.single:
-            return light + self._from_light(0, si, bsdf, tolerance, last, active)
-        return light + self._from_lights(si, bsdf, tolerance, last, active)
+        if not self.lights.few:
+            return light + self._from_lights(si, material, tolerance, last, active)
+        for i in range(self.lights.count):
+            light = light + self._from_light(i, si, material, tolerance, last, active)
+        return light
 
     @dr.syntax
-    def _from_lights(self, si, bsdf, tolerance, last, active):
+    def _from_lights(self, si, material, tolerance, last, active):
         count = self.lights.limit
         light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
         i = mi.UInt32(0)
         while dr.hint(i < count, max_iterations=-1, exclude=[count], label="lights"):
-            light += self._from_light(i, si, bsdf, tolerance, last, active)
+            light += self._from_light(i, si, material, tolerance, last, active)
             i += 1
         return light
 
-    def _from_light(self, i, si, bsdf, tolerance, last, active):
+    def _from_light(self, i, si, material, tolerance, last, active):
         direction, distance, intensity, active = self.lights.sample(i, si, active)
         wo = si.to_local(direction)
-        if last is None:
-            value = bsdf.eval(self.smooth, si, wo, active)
-        else:
-            value = bsdf.eval(self.smooth, si, wo, active & (last == False))  # noqa: E712
-            value += bsdf.eval(self.mirrorless, si, wo, active & last)
-        value = si.to_world_mueller(value, -wo, si.wi)
+        value = self.materials.eval(material, si, wo, last, active)
         if self.course:
             intensity = intensity * dr.pi
         elif self.lights.any_positional:
@@ -232,50 +226,15 @@ class Tracer:
             active = active & (self.scene.ray_test(shadow, coherent=False, active=active) == False)  # noqa: E712
         return dr.select(active, value, 0)
 
-    def _reflect(self, si, bsdf, tolerance, beta, depth, active):
+    def _reflect(self, si, material, tolerance, beta, depth, active):
         """The rays that go on from `si`, one for each kind of delta lobe."""
         active = active & (depth + 1 < self.most_rays)
         branches = []
-
-        def branch(d, weight, lanes):
+        for direction, weight, lanes in self.materials.mirrors(material, si, active):
             onward = beta * weight
             lanes = lanes & (dr.max(mi.unpolarized_spectrum(onward)) > self.faintest)
-            branches.append((self.surfaces.leave(si, d, tolerance)[0], d, onward, lanes))
-
-        def mirror(context, lanes, scale=1):
-            bs, weight = bsdf.sample(context, si, 0, mi.Point2f(0), lanes)
-            weight = si.to_world_mueller(weight, -bs.wo, si.wi) * scale
-            branch(si.to_world(bs.wo), weight, lanes & ((bs.sampled_type & DELTA) != 0))
-
-        needs, mirrors = (self.needs, self.mirrors) if self.jit else self._needs_of(bsdf)
-        for context, others in mirrors:
-            lanes = active
-            for other in others:
-                lanes = lanes & (bsdf != mi.BSDFPtr(other))
-            mirror(context, lanes)
-        if needs.masks:
-            # The contexts of Mitsuba's `mask` for single components are of no use: it lets through what they exclude.
-            lanes = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
-            through = mi.Spectrum(mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, lanes)))
-            branch(si.to_world(-si.wi), through, lanes)
-            if needs.masked_mirrors:
-                mirror(_context(DELTA | NULL), lanes, mi.Spectrum(1) - through)
+            branches.append((self.surfaces.leave(si, direction, tolerance)[0], direction, onward, lanes))
         return branches
-
-    @staticmethod
-    def _needs_of(bsdf):
-        needs = analyse_bsdfs([bsdf])
-        return needs, _mirror_contexts(needs)
-
-
-def _mirror_contexts(needs):
-    """A context for each component at which some BSDF has a delta lobe, and the BSDFs that it is not for."""
-    return [(_context(DELTA, i), others) for i, others in needs.mirrors]
-
-
-def _context(mask: int, component: int = 0xFFFFFFFF):
-    """Context of the lobes in `mask`, of all components or of one."""
-    return mi.BSDFContext(mi.TransportMode.Radiance, mask, component)
 
 
 def _fainter(a, b):

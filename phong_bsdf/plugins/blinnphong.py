@@ -2,8 +2,6 @@
 
 import mitsuba as mi
 
-from phong_bsdf import lobes
-
 from . import lobe_bsdf
 
 
@@ -57,10 +55,6 @@ class BlinnPhong(lobe_bsdf.LobeBSDF):
     """
 
     NAME = "blinnphong"
-    lobe = staticmethod(lobes.blinnphong)
-    lobe_pdf = staticmethod(lobes.blinnphong_pdf)
-    sample_lobe = staticmethod(lobes.sample_blinnphong)
-    normalization = staticmethod(lobes.blinnphong_normalization)
 
 
 mi.register_bsdf("blinnphong", BlinnPhong)

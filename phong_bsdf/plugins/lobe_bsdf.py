@@ -3,7 +3,8 @@
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf import albedo, energy
+from phong_bsdf import albedo, energy, lobes
+from phong_bsdf.materials import Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
 
 # Each vocabulary: name of the diffuse scale, of the lobe's scale, of the exponent.
@@ -16,11 +17,7 @@ ALL_COMPONENTS = 0xFFFFFFFF
 
 
 class LobeBSDF(mi.BSDF):
-    """Base class; the derived class says which lobe by `NAME` and four static methods.
-
-    `lobe(wi, wo, p)`, `lobe_pdf(wi, wo, p)`, `sample_lobe(wi, p, xi)`, `normalization(p)`:
-    see `phong_bsdf.lobes`.
-    """
+    """Base class; the derived class says which lobe of `phong_bsdf.lobes.LOBES` by its `NAME`."""
 
     def __init__(self, props):
         super().__init__(props)
@@ -74,7 +71,7 @@ class LobeBSDF(mi.BSDF):
         if glossy:
             p = self.exponent.value_1(si, active)
             choose_glossy = (sample1 < self._glossy_share(si, p, active)) if diffuse else True
-            bs.wo = self.sample_lobe(si.wi, p, sample2)
+            bs.wo = lobes.LOBES[self.NAME].sample(si.wi, p, sample2)
             bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
             bs.sampled_component = mi.UInt32(self.glossy_index)
         if diffuse:
@@ -107,6 +104,14 @@ class LobeBSDF(mi.BSDF):
         lines = [f"  {p.name} = {p.texture}".replace("\n", "\n  ") for p in self.parameters]
         return f"{type(self).__name__}[\n" + ",\n".join(lines) + "\n]"
 
+    def constants(self):
+        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""
+        values = [parameter.constant() for parameter in self.parameters]
+        # Of a colour, only Mitsuba knows which number an exponent is.
+        if None in values or len(set(values[2])) > 1:
+            return None
+        return Material((self.NAME, self.reflectances), *values, scale=(self.scale,), km=(0.0,))
+
     def _eval_pdf(self, ctx, si, wo, active, value=True, pdf=True):
         """Value f cos(theta_o) and density; either can be left out (its place then holds 0)."""
         cos_theta_o = mi.Frame3f.cos_theta(wo)
@@ -114,21 +119,17 @@ class LobeBSDF(mi.BSDF):
         diffuse, glossy = self._enabled(ctx)
         f, density = mi.UnpolarizedSpectrum(0), mi.Float(0)
 
-        if glossy:
-            p = self.exponent.value_1(si, active)
-            if value:
-                f = self.specular.value(si, active) * self.lobe(si.wi, wo, p)
-                if self.reflectances:
-                    f = f * (dr.pi * self.normalization(p) * cos_theta_o)
-            if pdf:
-                density = self.lobe_pdf(si.wi, wo, p)
-        if diffuse and value:
-            f = f + self.diffuse.value(si, active) * cos_theta_o
-        if diffuse and pdf:
+        p = self.exponent.value_1(si, active) if glossy else None
+        if value and (diffuse or glossy):
+            diffuse_scale = self.diffuse.value(si, active) if diffuse else None
+            specular_scale = self.specular.value(si, active) if glossy else None
+            f = lobes.reflected(self.NAME, self.reflectances, si.wi, wo, diffuse_scale, specular_scale, p)
+            f = dr.select(active, self._scaled(f), 0)
+        if pdf and glossy:
+            density = lobes.LOBES[self.NAME].pdf(si.wi, wo, p)
+        if pdf and diffuse:
             cosine = cos_theta_o * dr.inv_pi
             density = dr.lerp(cosine, density, self._glossy_share(si, p, active)) if glossy else cosine
-
-        f = dr.select(active, self._scaled(f * dr.inv_pi), 0)
         return mi.depolarizer(f), dr.select(active, density, 0)
 
     def _scaled(self, value):

@@ -1,5 +1,7 @@
 """BSDF `mirrorblend`: any BSDF, blended with a perfect mirror."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 
@@ -133,6 +135,13 @@ class MirrorBlend(mi.BSDF):
     def to_string(self):
         nested = str(self.nested).replace("\n", "\n  ")
         return f"MirrorBlend[\n  km = {self.km.texture},\n  nested_bsdf = {nested}\n]"
+
+    def constants(self):
+        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""
+        describe = getattr(self.nested, "constants", None)
+        nested, km = describe() if describe else None, self.km.constant()
+        # One mirror over another is no single material.
+        return replace(nested, km=km) if nested and km and not any(nested.km) else None
 
     def _nested_scale(self, ctx, si, active):
         """What is left of the nested BSDF, as a factor that keeps polarization."""

@@ -2,8 +2,6 @@
 
 import mitsuba as mi
 
-from phong_bsdf import lobes
-
 from . import lobe_bsdf
 
 
@@ -57,10 +55,6 @@ class Phong(lobe_bsdf.LobeBSDF):
     """
 
     NAME = "phong"
-    lobe = staticmethod(lobes.phong)
-    lobe_pdf = staticmethod(lobes.phong_pdf)
-    sample_lobe = staticmethod(lobes.sample_phong)
-    normalization = staticmethod(lobes.phong_normalization)
 
 
 mi.register_bsdf("phong", Phong)

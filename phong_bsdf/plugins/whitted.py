@@ -38,6 +38,7 @@ class Whitted(Base):
     shadows        boolean                 true     whether surfaces block the lights
     ambient        number, RGB, spectrum   0        adds ambient * diffuse reflectance at every hit
     hide_emitters  boolean                 false    hides the background from the camera
+    specialize     boolean                 true     leave out of the kernel what the scene does not need
     =============  ======================  =======  ==================================================
 
     Samples: spp = 1 traces pixel centres, spp = n^2 the centres of an n x n grid in each
@@ -71,6 +72,9 @@ class Whitted(Base):
         self.shadows = props.get("shadows", True)
         if not isinstance(self.shadows, bool):
             raise ValueError(f"whitted: 'shadows' must be true or false, got {self.shadows}")
+        self.specialize = props.get("specialize", True)
+        if not isinstance(self.specialize, bool):
+            raise ValueError(f"whitted: 'specialize' must be true or false, got {self.specialize}")
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
 
@@ -101,6 +105,7 @@ class Whitted(Base):
             ambient=None if self.ambient.left_out else self.ambient,
             hide_emitters=self.hide_emitters,
             gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
+            specialize=self.specialize,
         )
 
     if not IS_JIT:

@@ -1,0 +1,83 @@
+"""What a surface reflects, asked of the scene's BSDFs through Mitsuba: any BSDF, native ones too.
+
+`materials.py` gives the same answers, faster, for scenes of this package's BSDFs with constants.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+from .needs import DELTA, MIRRORLESS, NULL, analyse_bsdfs
+
+
+class Dispatch:
+    """The BSDFs of a scene; `needs` says which lobes some of them have."""
+
+    def __init__(self, needs):
+        self.jit = dr.is_jit_v(mi.Float)
+        self.needs, self.contexts = needs, _mirror_contexts(needs)
+        smooth = int(mi.BSDFFlags.All) & ~(DELTA | NULL)
+        self.smooth, self.mirrorless = _context(smooth), _context(smooth | MIRRORLESS)
+
+    def at(self, si, active):
+        """The material that was hit, for the other methods."""
+        return si.bsdf()
+
+    def eval(self, bsdf, si, wo, last, active):
+        """Smooth lobes, f cos(theta_o) toward `wo`; without a `mirrorblend`'s mirror on the lanes `last` (None: none)."""
+        if last is None:
+            value = bsdf.eval(self.smooth, si, wo, active)
+        else:
+            value = bsdf.eval(self.smooth, si, wo, active & (last == False))  # noqa: E712
+            value += bsdf.eval(self.mirrorless, si, wo, active & last)
+        return si.to_world_mueller(value, -wo, si.wi)
+
+    def diffuse_reflectance(self, bsdf, si, last, active):
+        """Diffuse reflectance, unpolarized; `last` as in `eval`."""
+        reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
+        if last is None:
+            return reflectance
+        # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.
+        context = _context(int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS)
+        normal = mi.Vector3f(0, 0, dr.sign(mi.Frame3f.cos_theta(si.wi)))
+        bare = mi.unpolarized_spectrum(bsdf.eval(context, si, normal, last)) * dr.pi
+        return dr.select(last, bare, reflectance)
+
+    def mirrors(self, bsdf, si, active):
+        """Mirrored and refracted rays: a list of (direction in world space, weight, lanes), one for each delta lobe."""
+        found = []
+
+        def mirror(context, lanes, scale=1):
+            bs, weight = bsdf.sample(context, si, 0, mi.Point2f(0), lanes)
+            weight = si.to_world_mueller(weight, -bs.wo, si.wi) * scale
+            found.append((si.to_world(bs.wo), weight, lanes & ((bs.sampled_type & DELTA) != 0)))
+
+        needs, contexts = (self.needs, self.contexts) if self.jit else _needs_of(bsdf)
+        for context, others in contexts:
+            lanes = active
+            for other in others:
+                lanes = lanes & (bsdf != mi.BSDFPtr(other))
+            mirror(context, lanes)
+        if needs.masks:
+            # The contexts of Mitsuba's `mask` for single components are of no use: it lets through what they exclude.
+            lanes = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+            through = mi.Spectrum(mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, lanes)))
+            found.append((si.to_world(-si.wi), through, lanes))
+            if needs.masked_mirrors:
+                mirror(_context(DELTA | NULL), lanes, mi.Spectrum(1) - through)
+        return found
+
+
+def _needs_of(bsdf):
+    """Scalar variants ask each BSDF when they meet it."""
+    needs = analyse_bsdfs([bsdf])
+    return needs, _mirror_contexts(needs)
+
+
+def _mirror_contexts(needs):
+    """A context for each component at which some BSDF has a delta lobe, and the BSDFs that it is not for."""
+    return [(_context(DELTA, i), others) for i, others in needs.mirrors]
+
+
+def _context(mask: int, component: int = 0xFFFFFFFF):
+    """Context of the lobes in `mask`, of all components or of one."""
+    return mi.BSDFContext(mi.TransportMode.Radiance, mask, component)

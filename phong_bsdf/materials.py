@@ -1,0 +1,120 @@
+"""What a surface reflects, from arrays, where all materials are this package's BSDFs with constants.
+
+Through Mitsuba a kernel holds, and each hit dispatches to, every BSDF of the scene. Constants
+need none of that: they are gathered once for each hit, and the formulas stand in the loop.
+The answers are those of `dispatch.py`, by the same operations in the same order.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import lobes
+
+
+@dataclass(frozen=True)
+class Material:
+    """The constants of one BSDF."""
+
+    model: tuple
+    """(name of the lobe, whether it is in the vocabulary of reflectances)."""
+    diffuse: tuple
+    specular: tuple
+    exponent: tuple
+    scale: tuple
+    """The energy rule's factor."""
+    km: tuple
+    """0 where there is no `mirrorblend`."""
+
+
+def tabulate(scene):
+    """`Materials` of `scene`; None where some BSDF is another, or varies, or is differentiated or recorded."""
+    if mi.is_spectral or mi.is_polarized or not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
+        return None
+    shapes = scene.shapes()
+    known = {}
+    for shape in shapes:
+        bsdf = shape.bsdf()
+        if bsdf is None or shape.class_name() == "Instance":
+            return None
+        if bsdf.ptr not in known:
+            describe = getattr(bsdf, "constants", None)
+            known[bsdf.ptr] = describe() if describe else None
+        if known[bsdf.ptr] is None:
+            return None
+    return Materials(scene, [known[shape.bsdf().ptr] for shape in shapes]) if shapes else None
+
+
+class Materials:
+    """The constants of all shapes. What is the same everywhere is not gathered; what is 0 everywhere is left out."""
+
+    def __init__(self, scene, materials: list[Material]):
+        self.models = sorted({material.model for material in materials})
+        self.ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+        self.model = self._column([(self.models.index(m.model),) for m in materials], mi.UInt32)
+        self.diffuse, self.specular, self.exponent, self.km = (
+            self._column([getattr(m, name) for m in materials], mi.Float)
+            for name in ("diffuse", "specular", "exponent", "km")
+        )
+        scales = [m.scale for m in materials]
+        self.scale = None if all(scale == (1.0,) for scale in scales) else self._column(scales, mi.Float)
+
+    def _column(self, values, kind):
+        """Arrays over the shapes' numbers, one for each channel, or one number for all shapes each."""
+        channels = max(map(len, values))
+        values = np.array([v if len(v) == channels else v * channels for v in values])
+        if not values.any():
+            return None
+        if np.all(values == values[:, :1]):
+            values = values[:, :1]
+        if np.all(values == values[:1]):
+            return [dr.opaque(kind, float(x)) for x in values[0]]
+        table = np.zeros((int(self.ids.max()) + 1, values.shape[1]), values.dtype)
+        table[self.ids] = values
+        return [kind(np.ascontiguousarray(channel)) for channel in table.T]
+
+    def at(self, si, active):
+        """The constants of the material that was hit, for the other methods; None for what is 0 everywhere."""
+        index = dr.reinterpret_array(mi.UInt32, si.shape)
+
+        def read(column):
+            if column is None:
+                return None
+            channels = [x if dr.width(x) == 1 else dr.gather(type(x), x, index, active) for x in column]
+            return channels[0] if len(channels) == 1 else mi.Color3f(*channels)
+
+        names = ("model", "diffuse", "specular", "exponent", "km", "scale")
+        return {name: read(getattr(self, name)) for name in names}
+
+    def eval(self, material, si, wo, last, active):
+        """Smooth lobes, f cos(theta_o) toward `wo`; on the lanes `last` (None: on none) without the mirror."""
+        active = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (mi.Frame3f.cos_theta(wo) > 0)
+        scales = material["diffuse"], material["specular"], material["exponent"]
+        value = mi.Spectrum(0)
+        if any(scale is not None for scale in scales[:2]):
+            for i, model in enumerate(self.models):
+                f = lobes.reflected(*model, si.wi, wo, *scales)
+                value = dr.select(material["model"] == i, f, value) if i > 0 else f
+        value = value if self.scale is None else value * material["scale"]
+        value = dr.select(active, value, 0)
+        return mi.Spectrum(value * self._under_mirror(material, last))
+
+    def diffuse_reflectance(self, material, si, last, active):
+        """Diffuse reflectance; `last` as in `eval`."""
+        if self.diffuse is None:
+            return mi.Spectrum(0)
+        value = material["diffuse"] if self.scale is None else material["diffuse"] * material["scale"]
+        return mi.Spectrum(value * self._under_mirror(material, last))
+
+    def mirrors(self, material, si, active):
+        """The mirrored ray: [(direction in world space, weight, lanes)]."""
+        weight = dr.select(active & (mi.Frame3f.cos_theta(si.wi) > 0), material["km"], 0)
+        return [(si.to_world(mi.reflect(si.wi)), mi.Spectrum(weight), active)]
+
+    def _under_mirror(self, material, last):
+        if material["km"] is None:
+            return 1
+        left = 1 - material["km"]
+        return left if last is None else dr.select(last, 1, left)
