@@ -105,6 +105,8 @@ def match(
     `specular_albedo` measures a BSDF, described as `mitsuba.load_dict` takes it, at normal
     incidence. `textured`: the specular scale is a texture.
     """
+    if max(lobe.specular) == 0 and not textured and not given:
+        return _with_base("diffuse", "reflectance", {}, lobe, {}, ["no highlight to match: became diffuse"])
     return _MATCHES[plugin](lobe, specular_albedo, dict(given or {}), textured)
 
 
