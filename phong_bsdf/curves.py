@@ -35,7 +35,7 @@ class Curves:
     picture: str
     plugin: str
     lobes: tuple[tuple[tuple[float, float], ...], ...]
-    """For each of LOBE_ANGLES: (angle of the outgoing direction in degrees, f cos(theta_o)), the mirror side positive."""
+    """For each of LOBE_ANGLES: (outgoing angle in degrees, f cos(theta_o)), positive on the mirror's side."""
     albedos: tuple[float, ...]
     """For each of ALBEDO_ANGLES: share of the incoming light that is reflected."""
 
@@ -86,9 +86,9 @@ def _toward(incidence: float) -> np.ndarray:
 def _points(incidence: float, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Fixed directions above the surface, and how many of them fall on a unit of solid angle there.
 
-    They are drawn from the hemisphere and from cosine-power lobes of every width, about the mirror direction and by half
-    vectors, `n` from each. A point is weighted by the sum of all densities (the balance heuristic), so that each
-    highlight is integrated by the lobe that fits it.
+    They are drawn from the hemisphere and from cosine-power lobes of every width, about the mirror direction and by
+    half vectors, `n` from each. A point is weighted by the sum of all densities (the balance heuristic), so that
+    each highlight is integrated by the lobe that fits it.
     """
     wi, mirror = _toward(incidence), _toward(incidence) * [-1, -1, 1]
     u, turn = (np.arange(n) + 0.5) / n, np.arange(n) * 0.6180339887498949 % 1

@@ -180,7 +180,7 @@ def _with_base(plugin, name, parameters, lobe, given, notes):
 
 
 def _scaled(lobe, reached, notes):
-    """The specular reflectance for which a target of albedo `reached` has the lobe's; adds a note where it is clamped."""
+    """The specular reflectance that scales a target of albedo `reached` to the lobe's; notes where it is clamped."""
     wanted = [lobe.unit_albedo * x for x in lobe.specular]
     if max(wanted) > reached * 1.001:
         notes.append(_too_weak(max(wanted), reached))

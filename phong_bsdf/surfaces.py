@@ -137,7 +137,7 @@ def _surface(state, make, name: str, index: int) -> Surface:
 
 def _mean(state, make, props, name: str, default: float) -> tuple[tuple[float, float, float], bool]:
     """The mean colour of a parameter over the texture's unit square, and whether it is a texture."""
-    value = props[name] if name in props else default
+    value = props.get(name, default)
     if isinstance(value, int | float):
         return (float(value),) * 3, False
     if props.type(name) == mi.Properties.Type.Color:

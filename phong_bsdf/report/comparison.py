@@ -1,0 +1,129 @@
+"""A comparison as a table, CSV, JSON, image files and one HTML page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..comparison import ORIGINAL, Comparison
+from ..curves import ALBEDO_ANGLES, LOBE_ANGLES
+from ..images import replace_file
+from ..images import write as write_image
+from ..metrics import EPSILON, FLIP_EXPOSURES
+from . import page, tables
+from .comparison_plots import colours, plots
+
+# Beside the first, brighter ones take the largest colour: single bright pixels would leave a map dark.
+MAP_PERCENTILE = 99.0
+
+
+def table(comparison: Comparison) -> str:
+    """One line for each picture."""
+    headings = ("picture", "MSE", "relMSE", "max", "FLIP", "mean", "compiling", "rendering", "")
+    lines = [
+        (
+            row.picture, *map(tables.number, (row.mse, row.relmse, row.max_error, row.flip, row.mean)),
+            f"{row.seconds_compiling:.2f} s", f"{row.seconds_rendering:.2f} s",
+            f"{row.nonfinite} PIXELS ARE NO NUMBERS" if row.nonfinite else "",
+        )
+        for row in comparison.rows
+    ]  # fmt: skip
+    return "\n".join(line.rstrip() for line in tables.text_table(headings, lines).split("\n"))
+
+
+def notes(comparison: Comparison) -> list[str]:
+    """What could not be matched, the same words once: `picture: surface, surface: note`."""
+    surfaces: dict[tuple[str, str], list[str]] = {}
+    for replacement in comparison.replacements:
+        for note in replacement.notes:
+            surfaces.setdefault((replacement.picture, note), []).append(replacement.surface)
+    return [f"{picture}: {', '.join(names)}: {note}" for (picture, note), names in surfaces.items()]
+
+
+def write(folder: Path, comparison: Comparison) -> Path:
+    """Write everything into `folder`, the page last; returns the page's path."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    context = tables.context()
+    for row in comparison.rows:
+        image = comparison.images[row.picture]
+        metadata = {"phong_bsdf": context["phong_bsdf"], "scene": comparison.scene, "variant": context["variant"],
+                    "spp": str(row.spp), "seed": str(row.seed), "picture": row.picture}  # fmt: skip
+        write_image(folder / f"{row.picture}.exr", image, metadata=metadata)
+        write_image(folder / f"{row.picture}.png", image)
+        if row.picture != ORIGINAL:
+            difference = image - comparison.images[ORIGINAL]
+            write_image(folder / f"{row.picture}-difference.exr", difference, metadata=metadata)
+    tables.write_csv(folder / "comparison.csv", comparison.rows)
+    replace_file(folder / "curves.csv", _curves_csv(comparison))
+    tables.write_json(
+        folder / "comparison.json", comparison.rows,
+        scene=comparison.scene, integrator=comparison.integrator, relmse_epsilon=EPSILON,
+        flip_exposures=FLIP_EXPOSURES, lobe_angles=LOBE_ANGLES, albedo_angles=ALBEDO_ANGLES,
+        replacements=comparison.replacements, curves=comparison.curves,
+    )  # fmt: skip
+    _write_page(folder / "index.html", comparison, context)
+    return folder / "index.html"
+
+
+def _curves_csv(comparison: Comparison) -> str:
+    """One line for each point: a lobe's has an outgoing angle, an albedo's has none."""
+    lines = ["surface,picture,plugin,incidence,outgoing,value"]
+    for c in comparison.curves:
+        start = f"{c.surface},{c.picture},{c.plugin}"
+        for incidence, points in zip(LOBE_ANGLES, c.lobes, strict=True):
+            lines += [f"{start},{incidence},{angle:g},{value!r}" for angle, value in points]
+        lines += [f"{start},{angle},,{value!r}" for angle, value in zip(ALBEDO_ANGLES, c.albedos, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> None:
+    scale = _map_scale(comparison)
+    original = comparison.images[ORIGINAL]
+    first = comparison.rows[0]
+    page.write(
+        path,
+        "comparison.html",
+        title=f"{comparison.scene}: Phong beside physical BSDFs",
+        summary=f"{first.width} × {first.height}, {first.spp} spp, seed {first.seed}, integrator "
+        f"{comparison.integrator.lower()}, {context['variant']}",
+        context=context,
+        rows=[(row, _cells(row)) for row in comparison.rows],
+        notes=notes(comparison),
+        surfaces=_by_surface(comparison),
+        colours=colours(comparison),
+        plots=plots(comparison),
+        pictures={name: page.picture(_rgb(image)) for name, image in comparison.images.items()},
+        maps={
+            name: page.picture(page.false_colours(image - original, scale), linear=True)
+            for name, image in comparison.images.items()
+            if name != ORIGINAL
+        },
+        map_scale=tables.number(scale),
+        viewer=page.viewer(comparison.images, scale),
+    )
+
+
+def _map_scale(comparison: Comparison) -> float:
+    """The difference that the brightest colour of every map stands for."""
+    original = comparison.images[ORIGINAL]
+    maps = [np.abs(image - original).mean(axis=-1) for name, image in comparison.images.items() if name != ORIGINAL]
+    finite = [m[np.isfinite(m)] for m in maps]
+    return max((float(np.percentile(m, MAP_PERCENTILE)) for m in finite if m.size), default=0.0) or 1.0
+
+
+def _by_surface(comparison: Comparison) -> dict[str, list]:
+    surfaces: dict[str, list] = {}
+    for replacement in comparison.replacements:
+        surfaces.setdefault(replacement.surface, []).append(replacement)
+    return surfaces
+
+
+def _cells(row) -> list[str]:
+    errors: Sequence = (row.mse, row.relmse, row.max_error, row.flip, row.mean)
+    seconds = (row.seconds_loading, row.seconds_compiling, row.seconds_rendering)
+    return [*map(tables.number, errors), str(row.nonfinite), *(f"{s:.2f}" for s in seconds)]
+
+
+def _rgb(image: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(image, (*image.shape[:2], 3))
