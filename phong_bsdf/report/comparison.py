@@ -99,6 +99,7 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
             for name, image in comparison.images.items()
             if name != ORIGINAL
         },
+        number=tables.number,
         map_scale=tables.number(scale),
         viewer=page.viewer(comparison.images, scale),
     )

@@ -103,7 +103,7 @@ def svg(figure, label: str):
 def ink_style() -> dict[str, object]:
     """Matplotlib settings for a figure that `svg` makes inline."""
     inked = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
-    return {**dict.fromkeys(inked, INK), "grid.color": "#808080", "grid.alpha": 0.35, "font.size": 9}
+    return {**dict.fromkeys(inked, INK), "grid.color": "#808080", "grid.alpha": 0.35, "font.size": 8}
 
 
 def _base64(data: bytes) -> str:

@@ -95,7 +95,7 @@
   }
 
   function setZoom() {
-    canvas.style.width = zoom.value === "0" ? "100%" : `${zoom.value * width}px`;
+    canvas.style.width = zoom.value === "0" ? `min(100%, ${(85 * width) / height}vh)` : `${zoom.value * width}px`;
   }
 
   function step(select, by) {
