@@ -157,10 +157,9 @@ def compare(scene, folder, against, choices, variant, defines, spp, size, camera
             result = comparison.run(planned, camera=camera, spp=spp or 0, size=size, seed=seed, on_progress=show)
             show("writing", 1)
             written = report.write(folder, result)
-    click.echo(report.table(result))
-    for note in report.notes(result):
-        click.echo(f"Note: {note}")
-    click.echo(f"\nThe page: {written}")
+    click.echo(report.table(result), nl=False)
+    notes = [f"Note: {note}" for note in report.notes(result)]
+    click.echo("\n".join(["", *notes, *[""] * bool(notes), f"The page: {written}"]))
 
 
 @main.command()

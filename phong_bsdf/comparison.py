@@ -8,11 +8,13 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import curves, matching, metrics, rendering, surfaces
+from . import curves, matching, metrics, needs, rendering, surfaces
 
 ORIGINAL = "original"
 # The picture with the BSDFs that the user gave one by one.
 GIVEN = "given"
+
+UNMEASURED = "has a perfect mirror, which its curves leave out"
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Comparison:
 
     scene: str
     integrator: str
+    """Name of its plugin."""
     rows: tuple[Row, ...]
     """The original first."""
     replacements: tuple[Replacement, ...]
@@ -124,10 +127,11 @@ def plan(
     for picture, swaps in jobs.items():
         states[picture] = state
         for surface, plugin, parameters in swaps:
-            matched = _match(plugin, surface, parameters)
+            matched = _match(path, state, plugin, surface, parameters)
             states[picture] = surfaces.replaced(states[picture], surface, matched.plugin, matched.parameters)
             bsdf = rendering.make(path, surfaces.alone(states[picture], surface))
-            replacements.append(_shown(picture, surface, matched, matched.notes))
+            mirror = [UNMEASURED] if bsdf.flags() & needs.DELTA else []
+            replacements.append(_shown(picture, surface, matched, [*matched.notes, *mirror]))
             measured.append(_measure(bsdf, surface, picture, matched.plugin))
     return Plan(Path(path), states, tuple(replacements), tuple(measured))
 
@@ -156,9 +160,9 @@ def run(
         swapped = sum(r.picture == picture for r in planned.replacements) if picture != ORIGINAL else 0
         rows.append(_row(picture, swapped, loaded, result, images.get(ORIGINAL)))
         images[picture] = metrics.colors(result.image)
-        integrator = loaded.integrator
         del loaded
-    return Comparison(planned.path.name, integrator, tuple(rows), planned.replacements, planned.curves, images)
+    integrators = (n.props.plugin_name() for n in state.nodes if n.type == mi.ObjectType.Integrator)
+    return Comparison(planned.path.name, next(integrators), tuple(rows), planned.replacements, planned.curves, images)
 
 
 def _check_given(given: Sequence[Choice], found: Mapping[str, surfaces.Surface]) -> None:
@@ -181,19 +185,19 @@ def _row(picture, swapped, loaded, result, reference) -> Row:
     )  # fmt: skip
 
 
-def _match(plugin: str, surface: surfaces.Surface, parameters: Mapping[str, object]) -> matching.Match:
+def _match(path: Path, state, plugin: str, surface: surfaces.Surface, parameters: Mapping[str, object]) -> matching.Match:
     if plugin not in matching.TARGETS:
         return matching.Match(plugin, dict(parameters))
+    if parameters:
+        # Mistakes are found here, where the surface's line is known.
+        rendering.make(path, surfaces.alone(surfaces.replaced(state, surface, plugin, parameters), surface))
     textured = bool({"ks", "specular_reflectance"} & set(surface.textured))
     return matching.match(plugin, surface.lobe, _specular_albedo, parameters, textured)
 
 
 def _specular_albedo(description: dict) -> float:
     values = {k: surfaces.color(v) if isinstance(v, tuple) else v for k, v in description.items()}
-    try:
-        return curves.albedo(mi.load_dict(values), 0)
-    except RuntimeError as error:
-        raise ValueError(rendering.explain(error, Path("compare"))) from None
+    return curves.albedo(mi.load_dict(values), 0)
 
 
 def _own(lobe: matching.Lobe) -> matching.Match:

@@ -86,7 +86,7 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
         "comparison.html",
         title=f"{comparison.scene}: Phong beside physical BSDFs",
         summary=f"{first.width} × {first.height}, {first.spp} spp, seed {first.seed}, integrator "
-        f"{comparison.integrator.lower()}, {context['variant']}",
+        f"{comparison.integrator}, {context['variant']}",
         context=context,
         rows=[(row, _cells(row)) for row in comparison.rows],
         notes=notes(comparison),
