@@ -14,8 +14,6 @@ ORIGINAL = "original"
 # The picture with the BSDFs that the user gave one by one.
 GIVEN = "given"
 
-UNMEASURED = "has a perfect mirror, which its curves leave out"
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -114,26 +112,20 @@ def plan(
     if not found:
         raise ValueError(f"{path}: the scene has no phong or blinnphong BSDF to compare")
     _check_given(given, found)
-    jobs = {plugin: [(surface, plugin, {}) for surface in found.values()] for plugin in dict.fromkeys(against)}
-    if given:
-        jobs[GIVEN] = [(found[choice.surface], choice.plugin, choice.parameters) for choice in given]
-    elif not against:
-        jobs["roughplastic"] = [(surface, "roughplastic", {}) for surface in found.values()]
 
-    states, replacements, measured = {ORIGINAL: state}, [], []
-    for surface in found.values():
-        replacements.append(_shown(ORIGINAL, surface, _own(surface.lobe), surface.notes))
-        measured.append(_measure(mi.load_dict(surfaces.original(surface.lobe)), surface, ORIGINAL, surface.lobe.plugin))
-    for picture, swaps in jobs.items():
+    jobs = {plugin: [Choice(name, plugin, {}) for name in found] for plugin in against}
+    if given:
+        jobs[GIVEN] = list(given)
+    elif not against:
+        jobs["roughplastic"] = [Choice(name, "roughplastic", {}) for name in found]
+    states, measured = {ORIGINAL: state}, [_original(path, state, surface) for surface in found.values()]
+    for picture, choices in jobs.items():
         states[picture] = state
-        for surface, plugin, parameters in swaps:
-            matched = _match(path, state, plugin, surface, parameters)
-            states[picture] = surfaces.replaced(states[picture], surface, matched.plugin, matched.parameters)
-            bsdf = rendering.make(path, surfaces.alone(states[picture], surface))
-            mirror = [UNMEASURED] if bsdf.flags() & needs.DELTA else []
-            replacements.append(_shown(picture, surface, matched, [*matched.notes, *mirror]))
-            measured.append(_measure(bsdf, surface, picture, matched.plugin))
-    return Plan(Path(path), states, tuple(replacements), tuple(measured))
+        for choice in choices:
+            states[picture], *records = _swap(path, states[picture], picture, found[choice.surface], choice)
+            measured.append(records)
+    replacements, curved = zip(*measured, strict=True)
+    return Plan(Path(path), states, replacements, curved)
 
 
 def run(
@@ -185,45 +177,64 @@ def _row(picture, swapped, loaded, result, reference) -> Row:
     )  # fmt: skip
 
 
-def _match(path: Path, state, plugin: str, surface: surfaces.Surface, parameters: Mapping[str, object]) -> matching.Match:
-    if plugin not in matching.TARGETS:
-        return matching.Match(plugin, dict(parameters))
-    if parameters:
+def _original(path: Path, state, surface: surfaces.Surface) -> tuple[Replacement, curves.Curves]:
+    """What a surface is, and its curves; those of a textured one are for its means."""
+    lobe = surface.lobe
+    bsdf = rendering.make(path, surfaces.alone(state, surface))
+    means = surfaces.parameters(lobe)
+    if surface.textured:
+        bsdf = _load({"type": lobe.plugin, **means})
+    texts = tuple(
+        (name, ("texture, mean " if name in surface.textured else "") + _text(value)) for name, value in means.items()
+    )
+    shown = Replacement(ORIGINAL, surface.name, surface.where, lobe.plugin, texts, surface.notes)
+    return shown, curves.measure(bsdf, surface.name, ORIGINAL, lobe.plugin, 2 * lobe.alpha)
+
+
+def _swap(path: Path, state, picture: str, surface: surfaces.Surface, choice: Choice):
+    """The scene with `choice` in place of a surface; what that is, and its curves."""
+    plugin, parameters, notes = choice.plugin, choice.parameters, []
+    if parameters or plugin not in matching.TARGETS:
         # Mistakes are found here, where the surface's line is known.
         rendering.make(path, surfaces.alone(surfaces.replaced(state, surface, plugin, parameters), surface))
-    textured = bool({"ks", "specular_reflectance"} & set(surface.textured))
-    return matching.match(plugin, surface.lobe, _specular_albedo, parameters, textured)
+    if plugin in matching.TARGETS:
+        textured = surface.is_textured("specular")
+        matched = matching.match(plugin, surface.lobe, _specular_albedo, parameters, textured)
+        plugin, parameters, notes = matched.plugin, matched.parameters, list(matched.notes)
+    state = surfaces.replaced(state, surface, plugin, parameters)
+    bsdf = rendering.make(path, surfaces.alone(state, surface))
+    if surface.textured:
+        bsdf = _load({"type": plugin, **{name: _mean(value, surface) for name, value in parameters.items()}})
+    if bsdf.flags() & needs.DELTA:
+        notes.append("has a perfect mirror, which its curves leave out")
+    texts = tuple(
+        (name, "the original's texture" if _is_texture(value, surface) else _text(_mean(value, surface)))
+        for name, value in parameters.items()
+    )
+    shown = Replacement(picture, surface.name, surface.where, plugin, texts, tuple(notes))
+    return state, shown, curves.measure(bsdf, surface.name, picture, plugin, 2 * surface.lobe.alpha)
 
 
-def _specular_albedo(description: dict) -> float:
-    values = {k: surfaces.color(v) if isinstance(v, tuple) else v for k, v in description.items()}
-    return curves.albedo(mi.load_dict(values), 0)
+def _specular_albedo(description: Mapping[str, object]) -> float:
+    """At normal incidence, of a BSDF as `mitsuba.load_dict` takes it, but for its colours."""
+    return curves.albedo(_load(description), 0)
 
 
-def _own(lobe: matching.Lobe) -> matching.Match:
-    """The original's own parameters."""
-    names = surfaces.REFLECTANCES if lobe.reflectances else surfaces.COEFFICIENTS
-    values = (lobe.diffuse, lobe.specular, lobe.exponent)
-    return matching.Match(lobe.plugin, dict(zip(names, values, strict=True)))
+def _load(description: Mapping[str, object]):
+    return mi.load_dict({k: surfaces.color(v) if isinstance(v, tuple) else v for k, v in description.items()})
 
 
-def _shown(picture, surface, matched: matching.Match, notes) -> Replacement:
-    parameters = tuple((name, _text(value, name, surface)) for name, value in matched.parameters.items())
-    return Replacement(picture, surface.name, surface.where, matched.plugin, parameters, tuple(notes))
+def _mean(value, surface: surfaces.Surface):
+    """A parameter's value; of one carried over from the original, its mean."""
+    return getattr(surface.lobe, value.scale) if isinstance(value, matching.Carried) else value
 
 
-def _text(value, name: str, surface: surfaces.Surface) -> str:
-    if isinstance(value, matching.Carried):
-        names = ("kd", "diffuse_reflectance") if value.scale == "diffuse" else ("ks", "specular_reflectance")
-        if set(names) & set(surface.textured):
-            return "the original's texture"
-        value = surface.lobe.diffuse if value.scale == "diffuse" else surface.lobe.specular
-    elif name in surface.textured:
-        return f"texture, mean {_text(value, '', surface)}"
+def _is_texture(value, surface: surfaces.Surface) -> bool:
+    return isinstance(value, matching.Carried) and surface.is_textured(value.scale)
+
+
+def _text(value) -> str:
+    """A parameter as a user reads it."""
     if isinstance(value, tuple):
-        return _text(value[0], "", surface) if len(set(value)) == 1 else " ".join(f"{x:.4g}" for x in value)
+        return " ".join(f"{x:.4g}" for x in (value if len(set(value)) > 1 else value[:1]))
     return f"{value:.4g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _measure(bsdf, surface, picture, plugin) -> curves.Curves:
-    return curves.measure(bsdf, surface.name, picture, plugin, 2 * surface.lobe.alpha)

@@ -16,6 +16,7 @@ LOBES = ("phong", "blinnphong")
 # Names of the diffuse scale, the specular scale and the exponent; a BSDF uses one vocabulary.
 COEFFICIENTS = ("kd", "ks", "p")
 REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
+SCALES = ("diffuse", "specular")
 DEFAULTS = (0.5, 0.2, 30.0)
 
 # Textures that cannot be looked at without the shape that they are on.
@@ -38,6 +39,11 @@ class Surface:
     textured: tuple[str, ...]
     """Parameters that are textures."""
     notes: tuple[str, ...]
+
+    def is_textured(self, scale: str) -> bool:
+        """Whether the `diffuse` or the `specular` scale is a texture."""
+        which = SCALES.index(scale)
+        return COEFFICIENTS[which] in self.textured or REFLECTANCES[which] in self.textured
 
 
 def find(state, make: Callable[[object], object]) -> list[Surface]:
@@ -63,9 +69,9 @@ def replaced(state, surface: Surface, plugin: str, parameters: Mapping[str, obje
     props.set_id(node.props.id())
     for name, value in parameters.items():
         if isinstance(value, Carried):
-            source = _names(node.props)[0 if value.scale == "diffuse" else 1]
+            which = SCALES.index(value.scale)
             # A default is nowhere in the scene.
-            value = node.props[source] if source in node.props else DEFAULTS[0 if value.scale == "diffuse" else 1]
+            value = node.props.get(_names(node.props)[which], DEFAULTS[which])
         props[name] = mi.ScalarColor3f(*value) if isinstance(value, tuple) else value
     node.props = props
     return _with_node(state, surface.node, node)
@@ -76,11 +82,10 @@ def alone(state, surface: Surface):
     return _with_node(state, 0, state.nodes[surface.node])
 
 
-def original(lobe: Lobe) -> dict[str, object]:
-    """A lobe, as `mitsuba.load_dict` takes it."""
+def parameters(lobe: Lobe) -> dict[str, object]:
+    """A lobe's parameters by their names in its vocabulary."""
     names = REFLECTANCES if lobe.reflectances else COEFFICIENTS
-    values = (color(lobe.diffuse), color(lobe.specular), lobe.exponent)
-    return {"type": lobe.plugin, **dict(zip(names, values, strict=True))}
+    return dict(zip(names, (lobe.diffuse, lobe.specular, lobe.exponent), strict=True))
 
 
 def color(value: tuple[float, float, float]) -> dict[str, object]:

@@ -59,8 +59,9 @@ def write(folder: Path, comparison: Comparison) -> Path:
     tables.write_json(
         folder / "comparison.json", comparison.rows,
         scene=comparison.scene, integrator=comparison.integrator, relmse_epsilon=EPSILON,
-        flip_exposures=FLIP_EXPOSURES, lobe_angles=LOBE_ANGLES, albedo_angles=ALBEDO_ANGLES,
-        replacements=comparison.replacements, curves=comparison.curves,
+        flip_exposures=FLIP_EXPOSURES, albedo_angles=ALBEDO_ANGLES,
+        replacements=comparison.replacements,
+        albedos=[{"surface": c.surface, "picture": c.picture, "values": c.albedos} for c in comparison.curves],
     )  # fmt: skip
     _write_page(folder / "index.html", comparison, context)
     return folder / "index.html"
