@@ -22,6 +22,9 @@ DEFAULTS = (0.5, 0.2, 30.0)
 # Textures that cannot be looked at without the shape that they are on.
 ON_SHAPES = ("mesh_attribute", "volume")
 
+# What a parameter can be besides a number or a colour.
+OBJECTS = (mi.Properties.Type.ResolvedReference, mi.Properties.Type.Spectrum)
+
 # As the BSDFs do where energy would not be conserved.
 CONSERVED = 0.99
 
@@ -69,9 +72,10 @@ def replaced(state, surface: Surface, plugin: str, parameters: Mapping[str, obje
     props.set_id(node.props.id())
     for name, value in parameters.items():
         if isinstance(value, Carried):
-            which = SCALES.index(value.scale)
-            # A default is nowhere in the scene.
-            value = node.props.get(_names(node.props)[which], DEFAULTS[which])
+            source = _names(node.props)[SCALES.index(value.scale)]
+            # Numbers and colours come from the lobe: defaults are nowhere in the scene.
+            as_it_stands = source in node.props and node.props.type(source) in OBJECTS
+            value = node.props[source] if as_it_stands else getattr(surface.lobe, value.scale)
         props[name] = mi.ScalarColor3f(*value) if isinstance(value, tuple) else value
     node.props = props
     return _with_node(state, surface.node, node)

@@ -52,7 +52,7 @@ def write(folder: Path, comparison: Comparison) -> Path:
         write_image(folder / f"{row.picture}.exr", image, metadata=metadata)
         write_image(folder / f"{row.picture}.png", image)
         if row.picture != ORIGINAL:
-            difference = image - comparison.images[ORIGINAL]
+            difference = _differences(comparison)[row.picture]
             write_image(folder / f"{row.picture}-difference.exr", difference, metadata=metadata)
     tables.write_csv(folder / "comparison.csv", comparison.rows)
     replace_file(folder / "curves.csv", _curves_csv(comparison))
@@ -79,8 +79,8 @@ def _curves_csv(comparison: Comparison) -> str:
 
 
 def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> None:
-    scale = _map_scale(comparison)
-    original = comparison.images[ORIGINAL]
+    differences = _differences(comparison)
+    scale = _map_scale(differences)
     first = comparison.rows[0]
     page.write(
         path,
@@ -96,9 +96,8 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
         plots=plots(comparison),
         pictures={name: page.picture(_rgb(image)) for name, image in comparison.images.items()},
         maps={
-            name: page.picture(page.false_colours(image - original, scale), linear=True)
-            for name, image in comparison.images.items()
-            if name != ORIGINAL
+            name: page.picture(page.false_colours(difference, scale), linear=True)
+            for name, difference in differences.items()
         },
         number=tables.number,
         map_scale=tables.number(scale),
@@ -106,11 +105,17 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
     )
 
 
-def _map_scale(comparison: Comparison) -> float:
+def _differences(comparison: Comparison) -> dict[str, np.ndarray]:
+    """Picture -> itself minus the original."""
+    others = {name: image for name, image in comparison.images.items() if name != ORIGINAL}
+    # Infinity minus infinity is no number, and is shown as such.
+    with np.errstate(invalid="ignore", over="ignore"):
+        return {name: image - comparison.images[ORIGINAL] for name, image in others.items()}
+
+
+def _map_scale(differences: dict[str, np.ndarray]) -> float:
     """The difference that the brightest colour of every map stands for."""
-    original = comparison.images[ORIGINAL]
-    maps = [np.abs(image - original).mean(axis=-1) for name, image in comparison.images.items() if name != ORIGINAL]
-    finite = [m[np.isfinite(m)] for m in maps]
+    finite = [m[np.isfinite(m)] for m in (np.abs(d).mean(axis=-1) for d in differences.values())]
     return max((float(np.percentile(m, MAP_PERCENTILE)) for m in finite if m.size), default=0.0) or 1.0
 
 

@@ -50,8 +50,8 @@ def viewer(pictures: Mapping[str, np.ndarray], difference_scale: float) -> dict[
 
     Pixels are half floats: 3 digits. `difference_scale` is the difference that has the brightest colour.
     """
-    largest = max((float(np.nanmax(np.abs(image), initial=0)) for image in pictures.values()), default=0)
-    scale = largest / LARGEST_HALF if LARGEST_HALF < largest < np.inf else 1.0
+    largest = max(float(np.max(np.abs(image), initial=0, where=np.isfinite(image))) for image in pictures.values())
+    scale = max(largest / LARGEST_HALF, 1.0)
     return {
         "pictures": [
             {
