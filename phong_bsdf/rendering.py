@@ -87,7 +87,8 @@ def make(path: Path, state):
     """The object that the root of a parsed scene, perhaps changed since, describes."""
     try:
         with _files_beside(path):
-            return mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), state)
+            # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
+            return mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), mi.parser.ParserState(state))
     except RuntimeError as error:
         raise SceneError(explain(error, path)) from None
 

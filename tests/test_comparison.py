@@ -246,10 +246,9 @@ def test_surfaces_are_found_and_named(scene):
     """By id; without one, after what holds them; without that, by plugin and number."""
     assert list(found(scene())) == ["ball", "right.blinnphong"]
     assert list(found(scene('<bsdf type="phong"/>'))) == ["phong-1", "right.blinnphong"]
-    nested = '<bsdf type="blendbsdf" id="b"><float name="weight" value="0.5"/>{}{}</bsdf>'
-    assert list(found(scene(nested.format('<bsdf type="phong"/>', '<bsdf type="phong"><float name="p" value="3"/></bsdf>')))) == [
-        "b.phong", "b.phong-2", "right.blinnphong",
-    ]  # fmt: skip
+    other = '<bsdf type="phong"><float name="p" value="3"/></bsdf>'
+    both = f'<bsdf type="blendbsdf" id="b"><float name="weight" value="0.5"/><bsdf type="phong"/>{other}</bsdf>'
+    assert list(found(scene(both))) == ["b.phong", "b.phong-2", "right.blinnphong"]
 
 
 def test_parameters_in_the_lectures_vocabulary(scene):
