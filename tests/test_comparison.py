@@ -375,7 +375,7 @@ def test_curves_are_written(scene):
     upright = [
         p
         for p in points
-        if (p["surface"], p["picture"], p["incidence"], p["outgoing"]) == ("ball", "diffuse", "30", "-1")
+        if (p["surface"], p["picture"], p["incidence"], p["outgoing"]) == ("ball", "diffuse", "30", "-1.0")
     ]
     assert float(upright[0]["value"]) == pytest.approx(grey * math.cos(math.radians(1)) / math.pi, rel=1e-5)
 

@@ -1,13 +1,13 @@
 """A comparison as a table, CSV, JSON, image files and one HTML page."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..comparison import ORIGINAL, Comparison
 from ..curves import ALBEDO_ANGLES, LOBE_ANGLES
-from ..images import replace_file
 from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
@@ -15,6 +15,20 @@ from .comparison_plots import colours, plots
 
 # Beside the first, brighter ones take the largest colour: single bright pixels would leave a map dark.
 MAP_PERCENTILE = 99.0
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a curve."""
+
+    surface: str
+    picture: str
+    plugin: str
+    incidence: float
+    outgoing: float | None
+    """Degrees; None: the value is the albedo."""
+    value: float
+    """f cos(theta_o), or the albedo."""
 
 
 def table(comparison: Comparison) -> str:
@@ -55,7 +69,7 @@ def write(folder: Path, comparison: Comparison) -> Path:
             difference = _differences(comparison)[row.picture]
             write_image(folder / f"{row.picture}-difference.exr", difference, metadata=metadata)
     tables.write_csv(folder / "comparison.csv", comparison.rows)
-    replace_file(folder / "curves.csv", _curves_csv(comparison))
+    tables.write_csv(folder / "curves.csv", list(_points(comparison)))
     tables.write_json(
         folder / "comparison.json", comparison.rows,
         scene=comparison.scene, integrator=comparison.integrator, relmse_epsilon=EPSILON,
@@ -67,15 +81,13 @@ def write(folder: Path, comparison: Comparison) -> Path:
     return folder / "index.html"
 
 
-def _curves_csv(comparison: Comparison) -> str:
-    """One line for each point: a lobe's has an outgoing angle, an albedo's has none."""
-    lines = ["surface,picture,plugin,incidence,outgoing,value"]
-    for c in comparison.curves:
-        start = f"{c.surface},{c.picture},{c.plugin}"
-        for incidence, points in zip(LOBE_ANGLES, c.lobes, strict=True):
-            lines += [f"{start},{incidence},{angle:g},{value!r}" for angle, value in points]
-        lines += [f"{start},{angle},,{value!r}" for angle, value in zip(ALBEDO_ANGLES, c.albedos, strict=True)]
-    return "\n".join(lines) + "\n"
+def _points(comparison: Comparison) -> Iterator[Point]:
+    for curves in comparison.curves:
+        where = (curves.surface, curves.picture, curves.plugin)
+        for incidence, lobe in zip(LOBE_ANGLES, curves.lobes, strict=True):
+            yield from (Point(*where, incidence, outgoing, value) for outgoing, value in lobe)
+        for incidence, albedo in zip(ALBEDO_ANGLES, curves.albedos, strict=True):
+            yield Point(*where, incidence, None, albedo)
 
 
 def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> None:

@@ -112,9 +112,9 @@
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
   function press(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    // A list uses all keys itself.
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
     if (/^[1-9]$/.test(event.key)) return show(event.key - 1);
-    if (event.target.matches("input, select")) return;
     if (event.key in keys) keys[event.key]();
     else if (event.key in arrows && document.activeElement === stage) {
       const [x, y] = pixel || [width >> 1, height >> 1], [dx, dy] = pixel ? arrows[event.key] : [0, 0];
@@ -136,7 +136,7 @@
 
   canvas.width = width;
   canvas.height = height;
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: true });
   const frame = context.createImageData(width, height);
   const images = await Promise.all(data.pictures.map(decode));
   buttons.forEach((button, i) => button.addEventListener("click", () => show(i)));
