@@ -412,6 +412,19 @@ def test_modes(scene, variant):
     assert float(parameters["specular_reflectance"]) == pytest.approx(0.827, rel=0.01)
 
 
+def test_physical_vocabulary_end_to_end(scene):
+    """A scene in reflectances renders, and its highlight keeps the reflectance that it names."""
+    try:
+        mi.load_dict({"type": "phong", "exponent": 30.0})
+    except RuntimeError:
+        pytest.skip("phong does not know 'exponent' yet")
+    scene('<bsdf type="phong" id="ball"><float name="specular_reflectance" value="0.03"/></bsdf>')
+    kept = compare("a.xml")
+    albedos = {a["picture"]: a["values"][0] for a in kept["albedos"] if a["surface"] == "ball"}
+    assert albedos["original"] == pytest.approx(0.53, rel=2e-3)
+    assert dict(kept["replacements"][2]["parameters"])["diffuse_reflectance"] == "0.5"
+
+
 def test_pictures_that_are_no_numbers_are_flagged(scene):
     """A scene whose light is infinite has no errors, but a count, in the table and in the records."""
     text = Path("a.xml").read_text()
