@@ -195,7 +195,7 @@ def _ior(wanted, albedo_at):
     """The index of refraction, at most LARGEST_IOR, of specular albedo `wanted`, and the albedo it has."""
     ior, reached = USUAL_IOR, albedo_at(USUAL_IOR)
     # The albedo is almost proportional to the reflectance at normal incidence: a few steps settle it.
-    for _ in range(4):
+    for _ in range(3):
         f0 = min(((ior - 1) / (ior + 1)) ** 2 * wanted / reached, 0.99) if reached > 0 else 0.0
         ior = min((1 + math.sqrt(f0)) / (1 - math.sqrt(f0)), LARGEST_IOR)
         reached = albedo_at(ior)

@@ -185,7 +185,7 @@ def test_highlight_has_the_lobes_energy(plugin, lobe):
     lobe = LOBES[lobe]
     match = matching.match(plugin, lobe, comparison._specular_albedo)
     wanted = lobe.unit_albedo * np.mean(lobe.specular)
-    assert curves.albedo(built(match), 0) == pytest.approx(wanted, rel=2e-3)
+    assert curves.albedo(built(match), 0) == pytest.approx(wanted, rel=1e-5)
     roughness = match.parameters.get("alpha") or match.parameters["roughness"] ** 2
     assert roughness == pytest.approx(lobe.alpha)
 
