@@ -216,8 +216,9 @@ class Tracer:
         if last is None:
             value = bsdf.eval(self.smooth, si, wo, active)
         else:
+            # Selected, not added up: in scalar variants Mitsuba's own BSDFs do not look at the mask.
             value = bsdf.eval(self.smooth, si, wo, active & (last == False))  # noqa: E712
-            value += bsdf.eval(self.mirrorless, si, wo, active & last)
+            value = dr.select(last, bsdf.eval(self.mirrorless, si, wo, active & last), value)
         value = si.to_world_mueller(value, -wo, si.wi)
         if self.course:
             intensity = intensity * dr.pi
