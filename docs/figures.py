@@ -14,11 +14,13 @@ from matplotlib.figure import Figure
 
 mi.set_variant("llvm_ad_rgb")
 
-from phong_bsdf import albedo, images, stability  # noqa: E402
+from phong_bsdf import albedo, comparison, images, stability  # noqa: E402
 from phong_bsdf.plugins.blinnphong import BlinnPhong  # noqa: E402
+from phong_bsdf.report import page  # noqa: E402
 from phong_bsdf.report import stability as report  # noqa: E402
 
 IMAGES = Path(__file__).parent / "images"
+BALLS = Path(__file__).parent.parent / "scenes/compare/balls.xml"
 SIZE = 240
 
 
@@ -73,9 +75,20 @@ def albedo_curves():
     images.replace_file(IMAGES / "albedo.svg", text.getvalue())
 
 
+def compared():
+    """The pictures of a comparison, and below each its difference to the first."""
+    result = comparison.run(comparison.plan(BALLS, against=["roughplastic", "principled"]), size=(300, 225))
+    pictures = list(result.images.values())
+    maps = [page.false_colours(picture - pictures[0], 0.1) for picture in pictures]
+    # The maps are colours of a file already.
+    linear = [np.where(m <= 0.04045, m / 12.92, ((m + 0.055) / 1.055) ** 2.4) for m in maps]
+    return np.concatenate([np.concatenate(row, axis=1) for row in (pictures, linear)], axis=0)
+
+
 def main():
-    """Writes the pictures into docs/images, and the table into docs/stability.md."""
+    """Writes the pictures in docs/images, and the table into docs/stability.md."""
     albedo_curves()
+    images.write(IMAGES / "compare.png", compared())
     rows = []
     for lobe in (stability.LOBES["blinnphong"]["value"][1], BlinnPhong.lobe):
         with formula(lobe):

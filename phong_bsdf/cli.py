@@ -37,6 +37,51 @@ class Define(click.ParamType):
         return name, text
 
 
+class Bsdf(click.ParamType):
+    """`id=plugin,name=value,...`: a surface, its new plugin, and the plugin's parameters."""
+
+    name = "id=plugin,name=value..."
+
+    def convert(self, value, param, ctx):
+        surface, equals, rest = str(value).partition("=")
+        plugin, *assignments = rest.split(",")
+        pairs = [assignment.partition("=") for assignment in assignments]
+        if not (surface and equals and plugin.strip()) or not all(name.strip() and eq for name, eq, _ in pairs):
+            self.fail(f"'{value}' should be id=plugin or id=plugin,name=value,name=value", param, ctx)
+        return surface, plugin.strip(), {name.strip(): self.parameter(text.strip()) for name, _, text in pairs}
+
+    @staticmethod
+    def parameter(text: str):
+        """A number, a colour of three numbers, true or false, or else a word."""
+        if text in ("true", "false"):
+            return text == "true"
+        try:
+            numbers = tuple(map(float, text.split()))
+        except ValueError:
+            return text
+        return numbers[0] if len(numbers) == 1 else numbers if len(numbers) == 3 else text
+
+
+def _scene_options(command):
+    """The options of every command that renders a scene."""
+    options = (
+        click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb."),
+        click.option("-D", "--define", "defines", multiple=True, type=Define(),
+                     help="Value for a <default> of the scene. May be given several times."),
+        click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says."),
+        click.option("--size", type=Size(), help="Size of the picture. Default: as the scene says."),
+        click.option("--camera", default=1, show_default=True, help="Which sensor of the scene, counted from 1."),
+        click.option("-s", "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
+                     help="Seed of the sampler."),
+        click.option("-t", "--threads", type=click.IntRange(min=1),
+                     help="Threads, at least 2. Default: one for each core."),
+        click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log."),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="phong-bsdf")
 def main():
@@ -47,17 +92,8 @@ def main():
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "outputs", multiple=True, required=True, type=click.Path(path_type=Path),
               help="File to write, .exr (linear) or .png (8 bit). May be given several times.")  # fmt: skip
-@click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb.")
-@click.option("-D", "--define", "defines", multiple=True, type=Define(),
-              help="Value for a <default> of the scene. May be given several times.")  # fmt: skip
-@click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says.")
-@click.option("--size", type=Size(), help="Size of the picture. Default: as the scene says.")
-@click.option("--camera", default=1, show_default=True, help="Which sensor of the scene, counted from 1.")
-@click.option("-s", "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
-              help="Seed of the sampler.")  # fmt: skip
-@click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
+@_scene_options
 @click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
-@click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log.")
 def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, verbose):
     """Render a Mitsuba XML SCENE."""
     with _errors():
@@ -89,6 +125,41 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
         f"{result.lights} light{'' if result.lights == 1 else 's'}, {result.variant}; loading {loaded.seconds:.2f} s, "
         f"compiling {result.seconds_compiling:.2f} s, rendering {result.seconds_rendering:.2f} s"
     )
+
+
+@main.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "folder", required=True, type=click.Path(path_type=Path),
+              help="Folder for index.html, .csv, .json and the pictures. Made if need be.")  # fmt: skip
+@click.option("--against", multiple=True, metavar="PLUGIN",
+              help="Swap every phong and blinnphong BSDF for this one at matched roughness: roughplastic (default), "
+                   "roughconductor, principled, diffuse. May be given several times.")  # fmt: skip
+@click.option("--bsdf", "choices", multiple=True, type=Bsdf(),
+              help="Swap one BSDF for this one; all of these together make one picture. May be given several times, "
+                   "for example: ball=roughplastic,int_ior=1.8")  # fmt: skip
+@_scene_options
+def compare(scene, folder, against, choices, variant, defines, spp, size, camera, seed, threads, verbose):
+    """Compare a SCENE's Phong and Blinn-Phong surfaces with Mitsuba's physical BSDFs, on one page."""
+    with _errors():
+        from . import images
+        from .report import page
+
+        images.check_folder(folder)
+        page.check_installed()
+        _start(variant, threads, verbose)
+        from . import comparison
+        from .report import comparison as report
+
+        with _progress() as show:
+            show("matching", 0)
+            given = [comparison.Choice(*choice) for choice in choices]
+            planned = comparison.plan(scene, dict(defines), against=against, given=given)
+            result = comparison.run(planned, camera=camera, spp=spp or 0, size=size, seed=seed, on_progress=show)
+            show("writing", 1)
+            written = report.write(folder, result)
+    click.echo(report.table(result), nl=False)
+    notes = [f"Note: {note}" for note in report.notes(result)]
+    click.echo("\n".join(["", *notes, *[""] * bool(notes), f"The page: {written}"]))
 
 
 @main.command()

@@ -23,12 +23,13 @@ class Dispatch:
         return si.bsdf()
 
     def eval(self, bsdf, si, wo, last, active):
-        """Smooth lobes, f cos(theta_o) toward `wo`; without a `mirrorblend`'s mirror on the lanes `last` (None: none)."""
+        """Smooth lobes, f cos(theta_o); on the lanes `last` (None: none) without a `mirrorblend`'s mirror."""
         if last is None:
             value = bsdf.eval(self.smooth, si, wo, active)
         else:
+            # Selected, not added up: in scalar variants Mitsuba's own BSDFs do not look at the mask.
             value = bsdf.eval(self.smooth, si, wo, active & (last == False))  # noqa: E712
-            value += bsdf.eval(self.mirrorless, si, wo, active & last)
+            value = dr.select(last, bsdf.eval(self.mirrorless, si, wo, active & last), value)
         return si.to_world_mueller(value, -wo, si.wi)
 
     def diffuse_reflectance(self, bsdf, si, last, active):

@@ -30,6 +30,20 @@ def check_writable(path: Path) -> None:
         raise ValueError(f"'{path}' cannot be written: {error.strerror or error}") from None
 
 
+def check_folder(folder: Path) -> None:
+    """Raise ValueError if files could not be written into `folder`, which need not exist yet."""
+    existing = Path(folder)
+    while not existing.exists():
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ValueError(f"'{folder}' cannot be written: '{existing}' is no folder")
+    try:
+        with _whole(existing / "test", keep=False):
+            pass
+    except OSError as error:
+        raise ValueError(f"'{folder}' cannot be written: {error.strerror or error}") from None
+
+
 def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
     """Write a linear image of shape (height, width, channels), channels Y, YA, RGB or RGBA.
 
@@ -46,7 +60,7 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
             if path.suffix.lower() == ".exr":
                 _write_exr(temporary, image, metadata or {})
             else:
-                _write_png(temporary, image if linear else _srgb(image))
+                _write_png(temporary, image, linear)
         except RuntimeError as error:
             raise OSError(f"'{path}' could not be written: {error}") from None
 
@@ -83,16 +97,22 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
     read_exr(path)
 
 
-def _write_png(path: str, image: np.ndarray) -> None:
+def png(image: np.ndarray, *, linear: bool = False) -> bytes:
+    """The bytes of a PNG file, as `write` writes it."""
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
+    image = image if linear else _srgb(image)
     if image.shape[2] == 2:
         image = image[:, :, [0, 0, 0, 1]]
-    # To memory first: the library does not notice a full disk.
     stream = MemoryStream()
     Bitmap(np.ascontiguousarray(to_8bit(image))).write(stream, Bitmap.FileFormat.PNG)
-    Path(path).write_bytes(bytes(stream.raw_buffer()))
+    return bytes(stream.raw_buffer())
+
+
+def _write_png(path: str, image: np.ndarray, linear: bool) -> None:
+    # By way of memory: the library does not notice a full disk.
+    Path(path).write_bytes(png(image, linear=linear))
 
 
 def _srgb(image: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ Everything a user can get wrong in a scene is a `SceneError` here: one sentence 
 names the file and the line where Mitsuba knows them.
 """
 
+import contextlib
 import math
 import re
 import time
@@ -64,14 +65,38 @@ class Rendering:
 def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
     """Load a Mitsuba XML scene in the active variant; `defines` gives values for its `<default>`s."""
     start = time.perf_counter()
+    return load_parsed(path, parse(path, defines), start)
+
+
+def parse(path: Path, defines: Mapping[str, str] | None = None):
+    """The nodes of a scene file, references resolved, nothing made of them yet: a `mitsuba.parser.ParserState`."""
     path = Path(path)
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder" if path.is_dir() else f"{path}: there is no such file")
-    defines = dict(defines or {})
     try:
-        scene = mi.load_file(str(path), **defines)
+        with _files_beside(path):
+            config = mi.parser.ParserConfig(mi.variant())
+            state = mi.parser.parse_file(config, str(path), **(defines or {}))
+            mi.parser.transform_all(config, state)
     except RuntimeError as error:
         raise SceneError(explain(error, path)) from None
+    return state
+
+
+def make(path: Path, state):
+    """The object that the root of a parsed scene, perhaps changed since, describes."""
+    try:
+        with _files_beside(path):
+            # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
+            return mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), mi.parser.ParserState(state))
+    except RuntimeError as error:
+        raise SceneError(explain(error, path)) from None
+
+
+def load_parsed(path: Path, state, start: float | None = None) -> LoadedScene:
+    """Load a parsed scene, perhaps changed since; `path` is where it came from, `start` when that began."""
+    start = start or time.perf_counter()
+    scene = make(path, state)
     if not isinstance(scene, mi.Scene):
         raise SceneError(f"{path}: the file describes no <scene>")
     if scene.integrator() is None:
@@ -81,8 +106,8 @@ def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
         try:
             needs.analyse(scene)
         except needs.UnsupportedScene as error:
-            raise SceneError(_locate(error, path, defines)) from None
-    return LoadedScene(path, scene, integrator, time.perf_counter() - start)
+            raise SceneError(_locate(error, path, state)) from None
+    return LoadedScene(Path(path), scene, integrator, time.perf_counter() - start)
 
 
 def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
@@ -147,16 +172,27 @@ def explain(error: BaseException, path: Path) -> str:
     return f"{file}, line {line}: {text}" if line else f"{file}: {text}"
 
 
-def _locate(error: needs.UnsupportedScene, path: Path, defines: Mapping[str, str]) -> str:
+def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
     """`error` with the line of the emitter that it is about; the loaded scene no longer knows it."""
-    config = mi.parser.ParserConfig(mi.variant())
-    state = mi.parser.parse_file(config, str(path), **defines)
     for node in state.nodes:
         name = node.props.plugin_name()
         if node.type == mi.ObjectType.Emitter and name not in needs.LIGHTS + needs.BACKGROUNDS:
             location = mi.parser.file_location(state, node)
             return explain(RuntimeError(f"At {location}: {needs.refusal(name)}"), path)
     return f"{path}: {error}"
+
+
+@contextlib.contextmanager
+def _files_beside(path: Path):
+    """Inside, Mitsuba finds files that the scene names relative to its own folder."""
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    resolver.prepend(str(Path(path).parent))
+    mi.set_file_resolver(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
 
 
 def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:

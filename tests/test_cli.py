@@ -120,6 +120,13 @@ def test_png_is_the_exr_in_8_bits(folder, linear, format_):
     assert len(np.unique(png)) > 5
 
 
+def test_files_beside_the_scene_are_found(folder):
+    """Textures and meshes lie where the scene says, from wherever it is rendered."""
+    scene = COURSE.parent / "textured.xml"
+    draw(scene, "-o", "a.exr", "--size", "20x15")
+    assert np.array_equal(read_exr("a.exr"), by_mitsuba(scene, width=20, height=15))
+
+
 def test_several_outputs_in_one_run(folder):
     """Each `-o` is written, in any order, in upper case too, and with the permissions of any new file."""
     out = draw("a.xml", "-o", "a.PNG", "-o", "b.exr", "-o", "c.exr")

@@ -410,6 +410,20 @@ def test_adapters_around_mirrors(bsdf, expected):
 
 
 @pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
+@pytest.mark.parametrize("km", (None, 0.4))
+def test_native_bsdfs_shade_as_the_lobes_do(variant, km):
+    """`diffuse` of reflectance 0.5 is kd = 0.5, under a mirror or not; scalar natives do not look at `active`."""
+    mi.set_variant(variant)
+    pictures = []
+    for bsdf in ({"type": "diffuse", "reflectance": 0.5}, {"type": "phong", "kd": 0.5, "ks": 0.0}):
+        bsdf = bsdf if km is None else {"type": "mirrorblend", "km": km, "b": bsdf}
+        objects = {"sky": GREY_SKY, "light": point([2, 3, 4]), "ball": sphere([0, 0, 0], 1.0, bsdf)}
+        pictures.append(render(scene(sensor=look([0, 0, 4], [0, 0, 0], width=8), **objects)))
+    assert pictures[0] == pytest.approx(pictures[1], abs=1e-6)
+    assert pictures[0].std() > 0.05
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
 def test_mirrors_in_instances(variant):
     """Inside of a shapegroup they are followed as outside."""
     mi.set_variant(variant)

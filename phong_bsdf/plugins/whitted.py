@@ -108,10 +108,28 @@ class Whitted(Base):
             specialize=self.specialize,
         )
 
-    if not IS_JIT:
+    if IS_JIT:
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
-            """Renders one sample after the other; JIT variants have Mitsuba's `ADIntegrator.render`."""
+            """One sample for each pixel is the picture; more, and other filters, go through the film's block."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            film = sensor.film()
+            spp = spp or sensor.sampler().sample_count()
+            if spp > 1 or not (develop and self.specialize and _is_plain(film)):
+                return super().render(scene, sensor, seed, spp, develop, evaluate)
+            with dr.suspend_grad():
+                samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
+                ray, weight, _ = self.sample_rays(scene, sensor, samples)
+                radiance, valid = self._tracer(scene).trace(ray, True)
+                channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
+                if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
+                    channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
+                return _store(film, channels)
+
+    else:
+
+        def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+            """Renders one sample after the other."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
             film = sensor.film()
@@ -123,6 +141,26 @@ class Whitted(Base):
                 _splat(block, film, position, radiance * weight, ray.wavelengths, valid)
             film.put_block(block)
             return film.develop() if develop else mi.TensorXf()
+
+
+def _is_plain(film) -> bool:
+    """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
+    special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
+    return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
+
+
+def _store(film, channels):
+    """The picture of one value for each pixel and channel. The film gets it, too, but in a form that costs nothing
+    until somebody develops the film."""
+    width, height = (int(side) for side in film.crop_size())
+    n = len(channels)
+    image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
+    index = dr.arange(mi.UInt32, width * height * (n + 1))
+    pixel = index // (n + 1)
+    channel = index - pixel * (n + 1)
+    weighted = dr.select(channel < n, dr.gather(mi.Float, image, pixel * n + channel, channel < n), 1)
+    film.put_block(mi.ImageBlock(mi.TensorXf(weighted, (height, width, n + 1)), mi.ScalarPoint2i(film.crop_offset())))
+    return mi.TensorXf(image, (height, width, n))
 
 
 def _splat(block, film, position, value, wavelengths, valid):

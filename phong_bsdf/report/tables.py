@@ -46,8 +46,8 @@ def write_csv(path: Path, rows: Sequence) -> None:
 
 def write_json(path: Path, rows: Sequence, **more) -> None:
     """The records under `rows`, the machine under `context`; infinities as strings, which JSON lacks."""
-    records = [{k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in rows]
-    replace_file(path, json.dumps({"context": context(), **more, "rows": records}, indent=1) + "\n")
+    document = {"context": context(), **more, "rows": list(rows)}
+    replace_file(path, json.dumps(_plain(document), indent=1, allow_nan=False) + "\n")
 
 
 def number(x: float | None) -> str:
@@ -71,9 +71,13 @@ def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _plain(value):
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _cores() -> int:
