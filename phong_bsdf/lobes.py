@@ -47,13 +47,37 @@ def expm1(x):
 
 def phong(wi, wo, p):
     """max(0, r.v)^p with r the mirror direction; 1 wherever p = 0."""
-    tan2, cos = _phong_angle(wi, wo)
-    return dr.select((cos > 0) | (p == 0), _cos_power(tan2, p), 0)
+    return _value(*_phong_angle(wi, wo), p)
 
 
 def blinnphong(wi, wo, p):
     """max(0, n.h)^p with h the bisector of wi and wo."""
     return _cos_power(_blinnphong_tan2(wi, wo), p)
+
+
+def either(is_phong, wi, wo, p):
+    """`phong` where `is_phong`, else `blinnphong`; the same numbers for less than the price of both."""
+    tan2, cos = _phong_angle(wi, wo)
+    return _value(dr.select(is_phong, tan2, _blinnphong_tan2(wi, wo)), dr.select(is_phong, cos, 1), p)
+
+
+def reflected(lobe, factor, cos_theta_o, diffuse, specular):
+    """f cos(theta_o) of a diffuse base and a lobe of value `lobe`; a scale that is None leaves its part out.
+
+    `factor` is None for coefficients, (diffuse cos + specular lobe) / pi, and `reflectance_factor` for
+    reflectances, (diffuse / pi + specular c(p) lobe) cos.
+    """
+    f = 0
+    if specular is not None:
+        f = specular * lobe if factor is None else specular * lobe * factor
+    if diffuse is not None:
+        f = f + diffuse * cos_theta_o
+    return f * dr.inv_pi
+
+
+def reflectance_factor(normalization, cos_theta_o):
+    """What a lobe of the normalization c(p) is multiplied with in `reflected`."""
+    return dr.pi * normalization * cos_theta_o
 
 
 def phong_pdf(wi, wo, p):
@@ -143,22 +167,6 @@ LOBES = {
 }
 
 
-def reflected(lobe, reflectances, wi, wo, diffuse, specular, p):
-    """f cos(theta_o) of a diffuse base and the lobe named `lobe`, above the surface; None leaves a part out.
-
-    `reflectances` says what the scales mean: (diffuse cos + specular lobe) / pi, or
-    (diffuse / pi + specular c(p) lobe) cos.
-    """
-    f = 0
-    if specular is not None:
-        f = specular * LOBES[lobe].value(wi, wo, p)
-        if reflectances:
-            f = f * (dr.pi * LOBES[lobe].normalization(p) * wo.z)
-    if diffuse is not None:
-        f = f + diffuse * wo.z
-    return f * dr.inv_pi
-
-
 def _phong_angle(wi, wo):
     """tan(theta)^2 and cos(theta), up to a positive factor, between the mirror direction of wi and wo."""
     # |r x wo| and r.wo with r = (-wi.x, -wi.y, wi.z). The fused operations keep
@@ -191,6 +199,10 @@ def _longer(wi, wo, h):
 
 def _over_8_pi(x):
     return dr.fma(x, INV_8_PI[0], x * INV_8_PI[1])
+
+
+def _value(tan2, cos, p):
+    return dr.select((cos > 0) | (p == 0), _cos_power(tan2, p), 0)
 
 
 def _cos_power(tan2, p):

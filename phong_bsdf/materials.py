@@ -90,16 +90,38 @@ class Materials:
 
     def eval(self, material, si, wo, last, active):
         """Smooth lobes, f cos(theta_o) toward `wo`; on the lanes `last` (None: on none) without the mirror."""
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (mi.Frame3f.cos_theta(wo) > 0)
-        scales = material["diffuse"], material["specular"], material["exponent"]
-        value = mi.Spectrum(0)
-        if any(scale is not None for scale in scales[:2]):
-            for i, model in enumerate(self.models):
-                f = lobes.reflected(*model, si.wi, wo, *scales)
-                value = dr.select(material["model"] == i, f, value) if i > 0 else f
+        cos_theta_o = mi.Frame3f.cos_theta(wo)
+        active = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (cos_theta_o > 0)
+        lobe = factor = None
+        if self.specular is not None:
+            p = 0 if self.exponent is None else material["exponent"]
+            lobe, factor = self._lobe(material, si.wi, wo, p)
+        value = lobes.reflected(lobe, factor, cos_theta_o, material["diffuse"], material["specular"])
         value = value if self.scale is None else value * material["scale"]
         value = dr.select(active, value, 0)
         return mi.Spectrum(value * self._under_mirror(material, last))
+
+    def _lobe(self, material, wi, wo, p):
+        """The lobe, and what it is multiplied with where scales are reflectances."""
+        names = {name for name, _ in self.models}
+        if len(names) == 1:
+            lobe = lobes.LOBES[next(iter(names))].value(wi, wo, p)
+        else:
+            lobe = lobes.either(self._where(material, lambda name, _: name == "phong"), wi, wo, p)
+        factor = None
+        for name in sorted(name for name, reflectances in self.models if reflectances):
+            own = lobes.reflectance_factor(lobes.LOBES[name].normalization(p), mi.Frame3f.cos_theta(wo))
+            here = self._where(material, lambda *model, name=name: model == (name, True))
+            factor = dr.select(here, own, 1 if factor is None else factor)
+        return lobe, factor
+
+    def _where(self, material, condition):
+        """The lanes whose model meets the condition."""
+        found = mi.Mask(False)
+        for i, model in enumerate(self.models):
+            if condition(*model):
+                found = found | (material["model"] == i) if len(self.models) > 1 else mi.Mask(True)
+        return found
 
     def diffuse_reflectance(self, material, si, last, active):
         """Diffuse reflectance; `last` as in `eval`."""

@@ -42,6 +42,11 @@ class LobeBSDF(mi.BSDF):
                 f"set '{ENERGY}' to false to keep them",
             )
 
+    @property
+    def lobe(self):
+        """The functions of this BSDF's lobe."""
+        return lobes.LOBES[self.NAME]
+
     def traverse(self, cb):
         for parameter in self.parameters:
             cb.put(parameter.name, parameter.texture, mi.ParamFlags.Differentiable)
@@ -71,7 +76,7 @@ class LobeBSDF(mi.BSDF):
         if glossy:
             p = self.exponent.value_1(si, active)
             choose_glossy = (sample1 < self._glossy_share(si, p, active)) if diffuse else True
-            bs.wo = lobes.LOBES[self.NAME].sample(si.wi, p, sample2)
+            bs.wo = self.lobe.sample(si.wi, p, sample2)
             bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
             bs.sampled_component = mi.UInt32(self.glossy_index)
         if diffuse:
@@ -119,14 +124,18 @@ class LobeBSDF(mi.BSDF):
         diffuse, glossy = self._enabled(ctx)
         f, density = mi.UnpolarizedSpectrum(0), mi.Float(0)
 
-        p = self.exponent.value_1(si, active) if glossy else None
+        if glossy:
+            p = self.exponent.value_1(si, active)
         if value and (diffuse or glossy):
-            diffuse_scale = self.diffuse.value(si, active) if diffuse else None
-            specular_scale = self.specular.value(si, active) if glossy else None
-            f = lobes.reflected(self.NAME, self.reflectances, si.wi, wo, diffuse_scale, specular_scale, p)
-            f = dr.select(active, self._scaled(f), 0)
+            kd = self.diffuse.value(si, active) if diffuse else None
+            ks = self.specular.value(si, active) if glossy else None
+            lobe = self.lobe.value(si.wi, wo, p) if glossy else None
+            factor = None
+            if self.reflectances and glossy:
+                factor = lobes.reflectance_factor(self.lobe.normalization(p), cos_theta_o)
+            f = dr.select(active, self._scaled(lobes.reflected(lobe, factor, cos_theta_o, kd, ks)), 0)
         if pdf and glossy:
-            density = lobes.LOBES[self.NAME].pdf(si.wi, wo, p)
+            density = self.lobe.pdf(si.wi, wo, p)
         if pdf and diffuse:
             cosine = cos_theta_o * dr.inv_pi
             density = dr.lerp(cosine, density, self._glossy_share(si, p, active)) if glossy else cosine
