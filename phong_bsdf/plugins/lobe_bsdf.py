@@ -139,7 +139,10 @@ class LobeBSDF(mi.BSDF):
         diffuse = dr.mean(self.diffuse.value(si, active))
         glossy = dr.mean(self.specular.value(si, active)) * self.albedo(mi.Frame3f.cos_theta(si.wi), p)
         total = diffuse + glossy
-        return dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5)
+        share = dr.detach(dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5))
+        # Neither of the two may be missing from a derivative.
+        differentiated = self.diffuse.differentiated or self.specular.differentiated
+        return dr.clip(share, 0.1, 0.9) if differentiated else share
 
     # Only what can be non-zero is a component --------------------------------------------------------
 

@@ -121,7 +121,7 @@ class MirrorBlend(mi.BSDF):
         if not nested_ctx:
             return mi.Float(0)
         pdf = self.nested.pdf(nested_ctx, si, wo, active)
-        return pdf * (1 - dr.mean(self.km.value(si, active))) if mirror else pdf
+        return pdf * (1 - self._share(self.km.value(si, active))) if mirror else pdf
 
     def eval_pdf(self, ctx, si, wo, active=True):
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
