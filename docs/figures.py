@@ -2,8 +2,9 @@
 
 import io
 import itertools
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import phong_bsdf  # noqa: F401
 
@@ -14,24 +15,13 @@ from matplotlib.figure import Figure
 
 mi.set_variant("llvm_ad_rgb")
 
-from phong_bsdf import albedo, comparison, images, stability  # noqa: E402
-from phong_bsdf.plugins.blinnphong import BlinnPhong  # noqa: E402
+from phong_bsdf import albedo, comparison, images, lobes, stability  # noqa: E402
 from phong_bsdf.report import page  # noqa: E402
 from phong_bsdf.report import stability as report  # noqa: E402
 
 IMAGES = Path(__file__).parent / "images"
 BALLS = Path(__file__).parent.parent / "scenes/compare/balls.xml"
 SIZE = 240
-
-
-@contextmanager
-def formula(lobe):
-    """`blinnphong` with another formula for its lobe."""
-    before, BlinnPhong.lobe = BlinnPhong.lobe, staticmethod(lobe)
-    try:
-        yield
-    finally:
-        BlinnPhong.lobe = staticmethod(before)
 
 
 def highlight(p):
@@ -90,8 +80,9 @@ def main():
     albedo_curves()
     images.write(IMAGES / "compare.png", compared())
     rows = []
-    for lobe in (stability.LOBES["blinnphong"]["value"][1], BlinnPhong.lobe):
-        with formula(lobe):
+    stable = lobes.LOBES["blinnphong"]
+    for lobe in (replace(stable, value=stability.LOBES["blinnphong"]["value"][1]), stable):
+        with mock.patch.dict(lobes.LOBES, blinnphong=lobe):
             rows.append(np.concatenate([highlight(p) for p in (1e5, 1e6, 1e7)], axis=1))
     images.write(IMAGES / "highlights.png", np.concatenate(rows, axis=0))
 

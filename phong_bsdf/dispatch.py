@@ -35,6 +35,9 @@ class Dispatch:
     def diffuse_reflectance(self, bsdf, si, last, active):
         """Diffuse reflectance, unpolarized; `last` as in `eval`."""
         reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
+        if (self.needs if self.jit else _needs_of(bsdf)[0]).masks:
+            # Mitsuba's `mask` forgets its opacity here.
+            reflectance = reflectance * (1 - mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, active)))
         if last is None:
             return reflectance
         # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.

@@ -23,7 +23,8 @@ def scale(diffuse, specular) -> float:
     channels = max(len(first), len(second))
     first, second = (m * channels if len(m) == 1 else m for m in (first, second))
     largest = max(a + b for a, b in zip(first, second, strict=True))
-    return 0.99 / largest if largest > 1 else 1.0
+    # 0.4 and 0.6 in float32 are 1 and a rounding.
+    return 0.99 / largest if largest > 1 + 1e-6 else 1.0
 
 
 def _maxima(parameter) -> list[float]:

@@ -22,9 +22,12 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-# Below this, a cosine is treated as this: tan(theta)^2 and its derivatives stay finite
-# in float32. Of an exponent above 1e-9 the condition number leaves no digit to be lost.
-TINY = 1e-9
+# Below this, a cosine is treated as this: tan(theta)^2 and its derivatives stay finite in float32.
+TINY = 1e-15
+
+# The same for |wi + wo|, of which the density has the inverse: 1e-9 is far closer to opposite than
+# float32 directions can be.
+SHORTEST = 1e-9
 
 # log(xi) stays finite at xi = 0; float32's smallest normal number is 1.2e-38.
 SMALLEST_XI = 1.2e-38
@@ -93,12 +96,12 @@ def blinnphong_pdf(wi, wo, p):
     """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h), or twice that."""
     # For unit wi and wo, 2 wo.h = |h| with h = wi + wo.
     h, h_lost = _sum(wi, wo)
-    z = dr.maximum(h.z, TINY)
+    z = dr.maximum(h.z, SHORTEST)
     y2, z2 = dr.square(h.y), dr.square(z)
     length2, lost = _sum(z2, dr.fma(h.x, h.x, y2))
     rcp = dr.rsqrt(length2)
     # How far rcp is from 1 / |h|. Rounding errors have no derivative.
-    longer = _longer(wi, wo, h)
+    longer = 2 * _imbalance(wi, wo, h)
     lost += 2 * dr.dot(h, h_lost) + dr.fma(h.y, h.y, -y2) + dr.fma(z, z, -z2) - dr.square(longer)
     length = length2 * rcp
     short = dr.detach(dr.fma(-length, rcp, 1) - dr.fma(length2, rcp, -length) * rcp - lost * dr.square(rcp))
@@ -187,14 +190,14 @@ def _blinnphong_tan2(wi, wo):
     """tan(theta)^2 of the angle between the normal and the bisector of wi and wo."""
     # Directions are unit only up to rounding; the bisector needs equal lengths.
     h = wi + wo
-    h = dr.fma(wo, _longer(wi, wo, h), h)
+    h = dr.fma(wo - wi, _imbalance(wi, wo, h), h)
     z = dr.maximum(h.z, TINY)
     return _squared_norm((h.x / z, h.y / z))
 
 
-def _longer(wi, wo, h):
-    """|wi| - |wo| for vectors of a length of almost 1, whose sum is h."""
-    return 0.5 * dr.dot(wi - wo, h)
+def _imbalance(wi, wo, h):
+    """(|wi| - |wo|) / (|wi| + |wo|) for vectors of a length of almost 1, whose sum is h."""
+    return 0.5 * dr.dot(wi - wo, h) / (dr.squared_norm(wi) + dr.squared_norm(wo))
 
 
 def _over_8_pi(x):

@@ -33,9 +33,23 @@ class Parameter:
         get = props.get_texture if max(numbers, default=1) <= 1 else props.get_unbounded_texture
         self.texture = get(name, default)
         self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
-        self._zero = not self.varies and self.texture.max() == 0
         self._three_channels = self.varies and _has_three_channels(self.texture)
+        self.plugin, self.upper = props.plugin_name(), upper
+        self.changed()
+
+    def changed(self) -> None:
+        """Look at the value: when the scene is loaded, and after a change through `mi.traverse`."""
+        self._differentiated = self._grad_enabled()
+        # Neither a frozen function nor one that is differentiated can look at numbers.
+        blind = self.varies or self._differentiated or dr.flag(dr.JitFlag.FreezingScope)
+        self._recorded = dr.flag(dr.JitFlag.FreezingScope)
         self._constant = None
+        largest = None if blind else self.texture.max()
+        self._zero = largest == 0
+        # Where a derivative needs what a picture does not: 0, and for mirrors 1.
+        self._at_edge = self.varies or largest in (0, self.upper)
+        if not blind:
+            self._check_constant()
 
     @property
     def left_out(self) -> bool:
@@ -44,20 +58,23 @@ class Parameter:
 
     @property
     def differentiated(self) -> bool:
-        """Whether derivatives with respect to the parameter are asked for."""
+        """Whether derivatives with respect to the parameter are asked for, since `mi.traverse` last changed it.
+
+        It stays true: integrators that work in two passes differentiate in one of them only, and
+        both must sample the same way.
+        """
+        if self._at_edge and not self._differentiated:
+            self._differentiated = self._grad_enabled()
+        return self._differentiated
+
+    def _grad_enabled(self) -> bool:
         params = mi.traverse(self.texture)
         return any(dr.grad_enabled(params[key]) for key in params.keys())  # noqa: SIM118  (it is no dict)
 
-    def changed(self) -> None:
-        """Look again at a constant that was changed through `mi.traverse`."""
-        # Neither a frozen function nor one that is differentiated can look at a value.
-        blind = self.varies or dr.flag(dr.JitFlag.FreezingScope) or self.differentiated
-        self._zero = not blind and self.texture.max() == 0
-        self._constant = None
-
     def constant(self) -> tuple[float, ...] | None:
-        """The value as numbers, one for each channel; None where it varies or is differentiated."""
-        if self.varies or self.differentiated:
+        """The value as numbers, one for each channel; None where it varies, is differentiated, or changes unseen."""
+        # A frozen function that changes the value does so without a call when it is replayed.
+        if self.varies or self.differentiated or self._recorded:
             return None
         if self._constant is None:
             self._constant = tuple(dr.ravel(self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))).numpy().tolist())
@@ -94,12 +111,27 @@ class Parameter:
         else:
             return []
         if not all(0 <= x <= upper and x < math.inf for x in numbers):
-            wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
-            raise ValueError(f"{props.plugin_name()}: '{name}' must be {wanted}, got {given}")
+            raise ValueError(_message(props.plugin_name(), name, upper, given))
         if max(numbers) > self.largest:
             clamped = [min(x, self.largest) for x in numbers]
             props[name] = clamped[0] if isinstance(given, int | float) else mi.ScalarColor3f(clamped)
         return numbers
+
+    def _check_constant(self) -> None:
+        """Constants that arrive as a spectrum, or through an update."""
+        params = mi.traverse(self.texture)
+        if "value" in params and mi.is_spectral and self.texture.class_name() != "UniformSpectrum":
+            return  # Coefficients of a model of spectra, made from a colour that was checked.
+        for key in {"value", "values"} & set(params.keys()):
+            numbers = [float(x) for x in dr.ravel(params[key])] if dr.is_array_v(params[key]) else [params[key]]
+            if not all(0 <= x <= self.largest for x in numbers):
+                given = numbers[0] if len(numbers) == 1 else numbers
+                raise ValueError(_message(self.plugin, self.name, self.upper, given))
+
+
+def _message(plugin, name, upper, given) -> str:
+    wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
+    return f"{plugin}: '{name}' must be {wanted}, got {given}"
 
 
 def _has_maximum(texture) -> bool:

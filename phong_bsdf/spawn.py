@@ -8,6 +8,7 @@ that was hit and with its coordinates; so does the offset here.
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 # Rounding errors that a hit and the test of the ray that leaves it add up, in units of
 # 2^-24 (coordinates + size of the shape). A sphere's shadow test, r^2 - |o - c|^2 in
@@ -38,7 +39,7 @@ class Surfaces:
         for sphere in self.spheres:
             # Not from si.p, which scalar variants have moved off the ray.
             t = si.t + sphere.correction(ray(si.t), ray.d)
-            p = dr.select(si.shape == sphere.shape, ray(t), p)
+            p = dr.select(is_shape(si, sphere.shape), ray(t), p)
         return p
 
     def tolerance(self, si, active):
@@ -74,7 +75,7 @@ class PerShape:
         self.jit = dr.is_jit_v(mi.Float)
         self.largest, self.smallest = max(values, default=1.0), min(values, default=1.0)
         self.exceptions = [
-            (shape, value) for shape, value in zip(shapes, values, strict=True) if value > 8 * self.smallest
+            (identity(shape), value) for shape, value in zip(shapes, values, strict=True) if value > 8 * self.smallest
         ]
         # The shapes inside of instances are not listed: they may be as large as any.
         self.uniform = not self.exceptions or any(shape.class_name() == "Instance" for shape in shapes)
@@ -90,7 +91,7 @@ class PerShape:
             return dr.gather(mi.Float, self.table, dr.reinterpret_array(mi.UInt32, si.shape), active)
         value = mi.Float(self.smallest)
         for shape, exception in self.exceptions:
-            value = dr.select(si.shape == (mi.ShapePtr(shape) if self.jit else shape), exception, value)
+            value = dr.select(is_shape(si, shape), exception, value)
         return value
 
     @staticmethod
@@ -113,7 +114,7 @@ class _Sphere:
         jit = dr.is_jit_v(mi.Float)
         double = dr.float64_array_t(mi.Float) if jit else float
         to_world = mi.traverse(shape)["to_world"]
-        self.shape = mi.ShapePtr(shape) if jit else shape
+        self.shape = identity(shape)
         self.center = to_world @ mi.Point3f(0)
         radius = to_world @ mi.Vector3f(1, 0, 0)
         self.constant = mi.Float(sum(double(c) ** 2 - double(r) ** 2 for c, r in zip(self.center, radius, strict=True)))
@@ -128,9 +129,26 @@ class _Sphere:
         return dr.select(dr.isfinite(t), t, 0)
 
 
+def identity(shape):
+    """What `is_shape` compares: in JIT variants the shape's number, as a value that is no part of the kernel."""
+    if not dr.is_jit_v(mi.Float):
+        return shape
+    return dr.opaque(mi.UInt32, dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def is_shape(si, shape):
+    """Whether the shape of this `identity` was hit."""
+    hit = si.shape
+    return hit == shape if not dr.is_jit_v(mi.Float) else dr.reinterpret_array(mi.UInt32, hit) == shape
+
+
 def _extent(shape) -> float:
     """Largest coordinate or side of the shape's bounding box: what its float32 arithmetic works with."""
     box = shape.bbox()
+    if not box.valid():
+        # Mitsuba joins meshes of equal BSDFs, and forgets the box.
+        points = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3)
+        box = mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
     return max(max(abs(box.min[i]), abs(box.max[i]), box.max[i] - box.min[i]) for i in range(3))
 
 

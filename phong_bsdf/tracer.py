@@ -18,8 +18,8 @@ FAINTEST = 1e-6
 MOST_BOUNCES = 1000
 
 # Room for the branches of a tree of refractions that wait for their turn. The fainter
-# of two branches is followed first: it carries at most half of the light, so after 20
-# levels it is below FAINTEST and the path ends.
+# of two branches is followed first: it carries at most half of the light. Where 24 wait,
+# it carries less than 1e-7, and is dropped for the brighter one.
 MOST_WAITING = 24
 
 
@@ -123,6 +123,9 @@ class Tracer:
             o, d, beta, follow = branches[0]
             for other in branches[1:]:
                 o, d, beta, follow, wait_o, wait_d, wait_beta, wait = _fainter((o, d, beta, follow), other)
+                full = wait & (waiting >= room)
+                o, d, beta = dr.select(full, wait_o, o), dr.select(full, wait_d, d), dr.select(full, wait_beta, beta)
+                wait = wait & ~full
                 stack_o.write(wait_o, waiting, wait)
                 stack_d.write(wait_d, waiting, wait)
                 stack_beta.write(wait_beta, waiting, wait)

@@ -245,6 +245,28 @@ def test_bad_parameters_are_errors_at_load(bsdf, message):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("bsdf", "parameter", "bad"),
+    [
+        ({"type": "phong"}, "kd", -2.0),
+        ({"type": "phong"}, "p", -5.0),
+        ({"type": "blinnphong"}, "ks", math.nan),
+        ({"type": "blinnphong"}, "p", math.inf),
+        ({"type": "mirrorblend", "b": {"type": "diffuse"}}, "km", 3.0),
+    ],
+)
+def test_bad_constants_are_errors_however_they_come(bsdf, parameter, bad, any_variant):
+    """As a spectrum, and through an update, too."""
+    message = f"{bsdf['type']}: '{parameter}' must be"
+    for kind in ("spectrum", "uniform"):
+        with pytest.raises(RuntimeError, match=message):
+            mi.load_dict({**bsdf, parameter: {"type": kind, "value": bad}})
+    params = mi.traverse(mi.load_dict({**bsdf, parameter: 0.5}))
+    params[f"{parameter}.value"] = bad
+    with pytest.raises(ValueError, match=message):
+        params.update()
+
+
 def test_parameters_can_be_changed():
     """`traverse` lists every parameter, and an update counts, components included."""
     bsdf = mi.load_dict(BSDFS["mirrorblend"])

@@ -118,7 +118,7 @@ def test_a_zero_that_is_differentiated_is_not_left_out(parameter, update):
     assert dr.grad(params[f"{parameter}.value"])[0] == pytest.approx(expected, rel=1e-5)
 
 
-def mirror_scene(km, kd=0.5, ks=0.0, integrator="whitted", **options):
+def mirror_scene(km, kd=0.5, ks=0.0, light=None, integrator="whitted", **options):
     """A floor under a ceiling; both are lit, the floor mirrors the ceiling."""
     t = mi.ScalarTransform4f()
     floor = {"type": "phong", "kd": kd, "ks": ks, "p": 2}
@@ -142,15 +142,17 @@ def mirror_scene(km, kd=0.5, ks=0.0, integrator="whitted", **options):
                 "to_world": t.translate([0, 4, 0]).rotate([1, 0, 0], 90).scale([20, 20, 1]),
                 "bsdf": {"type": "phong", "kd": 0.8, "ks": 0.0},
             },
-            "light": {"type": "point", "position": [0, 2, 0]},
+            "light": light or {"type": "point", "position": [0, 2, 0]},
         }
     )
 
 
-def gradient(scene, name, **options):
+def gradient(scene, name, update=False, **options):
     params = mi.traverse(scene)
     key = next(key for key in params.keys() if key.startswith("floor.") and key.endswith(f".{name}.value"))  # noqa: SIM118
     dr.enable_grad(params[key])
+    if update:
+        params.update()
     dr.backward(dr.mean(mi.render(scene, params, **options)))
     return dr.grad(params[key])[0]
 
@@ -163,19 +165,43 @@ def test_whitted_at_zero(name):
     assert at_zero == pytest.approx(near, rel=1e-4) and at_zero != 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("km", (0.0, 0.5, 1.0))
-def test_path_differentiates_the_blend(km):
-    """d/dkm in Mitsuba's `path`, also where one of the two that are blended is absent, is a difference of pictures."""
+LIGHTS = {
+    "point": {"type": "point", "position": [0, 2, 0]},
+    "sky": {"type": "constant", "radiance": 0.5},
+    "lamp": {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().look_at([1, 3.5, 0], [0, 0, 0], [0, 0, 1]),
+        "emitter": {"type": "area", "radiance": 2.0},
+    },
+}
 
-    def mean(km):
-        scene = mirror_scene(km, integrator="path", max_depth=3)
-        return np.array(mi.render(scene, spp=2**14)).mean()
+
+@pytest.mark.slow
+@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("km", (0.0, 0.02, 0.5, 1.0))
+def test_path_differentiates_the_blend(km, light):
+    """d/dkm in Mitsuba's `path`, where one of the two that are blended is absent, too, is a difference of pictures."""
+
+    def scene(km):
+        return mirror_scene(km, light=LIGHTS[light], integrator="path", max_depth=3)
 
     # The picture is linear in km. Over ten seeds both differ by less than 1 %.
-    expected = mean(1.0) - mean(0.0)
-    computed = gradient(mirror_scene(km, integrator="path", max_depth=3), "km", spp=2**14)
-    assert computed == pytest.approx(expected, rel=0.03)
+    expected = np.array(mi.render(scene(1.0), spp=2**14)).mean() - np.array(mi.render(scene(0.0), spp=2**14)).mean()
+    assert gradient(scene(km), "km", spp=2**14) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("integrator", ("path", "prb"))
+@pytest.mark.parametrize("name", ("kd", "ks"))
+def test_indirect_light_at_zero(name, integrator):
+    """The picture is all but linear in kd and ks: at 0 the derivative is that at 1/100, indirect light included."""
+
+    def scene(x):
+        scales = {"kd": 0.5, "ks": 0.4, name: x}
+        return mirror_scene(0.0, **scales, light=LIGHTS["lamp"], integrator=integrator, max_depth=3)
+
+    at_zero, near = (gradient(scene(x), name, update=True, spp=2**14) for x in (0.0, 0.01))
+    assert at_zero == pytest.approx(near, rel=0.03)
 
 
 # Sample weights ------------------------------------------------------------------------------------------

@@ -29,10 +29,9 @@ class LobeBSDF(mi.BSDF):
         )
         self.parameters = (self.diffuse, self.specular, self.exponent)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
-        self.scale = 1.0
-        # Here Dr.Jit finds arrays when it freezes a function; inside of helper objects it would not.
-        self.textures = [parameter.texture for parameter in self.parameters]
+        self.scale, self.scale_array = 1.0, mi.Float(1)
         self.albedo = albedo.Table(self.NAME, self.reflectances, mi.Float)
+        # Here Dr.Jit finds it when it freezes a function; inside of a helper object it would not.
         self.albedo_ratios = self.albedo.ratios
         self.parameters_changed(list(names))
         if self.scale != 1:
@@ -142,19 +141,25 @@ class LobeBSDF(mi.BSDF):
         return mi.depolarizer(f), dr.select(active, density, 0)
 
     def _scaled(self, value):
-        return value if self.scale == 1 else value * self.scale_array
+        return value * self.scale_array if self.conserves_energy else value
 
     def _glossy_share(self, si, p, active):
         """Probability of sampling the lobe: its part of what is reflected at this angle of incidence."""
         diffuse = dr.mean(self.diffuse.value(si, active))
         glossy = dr.mean(self.specular.value(si, active)) * self.albedo(mi.Frame3f.cos_theta(si.wi), p)
         total = diffuse + glossy
-        return dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5)
+        share = dr.detach(dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5))
+        # Neither of the two may be missing from a derivative.
+        differentiated = self.diffuse.differentiated or self.specular.differentiated
+        return dr.clip(share, 0.1, 0.9) if differentiated else share
 
     # Only what can be non-zero is a component --------------------------------------------------------
 
     def _find_components(self):
         self.shown = not self.diffuse.left_out, not self.specular.left_out
+        # As above. By the length of the list Dr.Jit also sees that a recording that left something out is of no use.
+        self.textures = [self.exponent.texture, self.specular.texture, self.diffuse.texture]
+        self.textures += [self.diffuse.texture] * self.shown[0] + [self.specular.texture] * (2 * self.shown[1])
         kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
         flags = int(mi.BSDFFlags.FrontSide)
         if any(parameter.varies for parameter in self.parameters):

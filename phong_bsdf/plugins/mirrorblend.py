@@ -49,8 +49,6 @@ class MirrorBlend(mi.BSDF):
         if len(nested) != 1:
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
-        # Here Dr.Jit finds it when it freezes a function; inside of `Parameter` it would not.
-        self.textures = [self.km.texture]
         self.parameters_changed([])
 
     def traverse(self, cb):
@@ -64,6 +62,8 @@ class MirrorBlend(mi.BSDF):
         self.both_sides = mi.has_flag(self.nested.flags(), mi.BSDFFlags.BackSide)
         self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
         self.mirrors = not self.km.left_out
+        # Here Dr.Jit finds it when it freezes a function, and sees by the length whether it is left out.
+        self.textures = [self.km.texture] * (1 if self.mirrors else 2)
         components = nested
         if self.mirrors:
             mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
@@ -123,7 +123,7 @@ class MirrorBlend(mi.BSDF):
         if not nested_ctx:
             return mi.Float(0)
         pdf = self.nested.pdf(nested_ctx, si, wo, active)
-        return pdf * (1 - dr.mean(self.km.value(si, active))) if mirror else pdf
+        return pdf * (1 - self._share(self.km.value(si, active))) if mirror else pdf
 
     def eval_pdf(self, ctx, si, wo, active=True):
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
@@ -131,6 +131,10 @@ class MirrorBlend(mi.BSDF):
     def eval_diffuse_reflectance(self, si, active=True):
         reflectance = mi.unpolarized_spectrum(self.nested.eval_diffuse_reflectance(si, active))
         return mi.Spectrum(reflectance * (1 - self.km.value(si, active)))
+
+    def eval_null_transmission(self, si, active=True):
+        transmission = mi.unpolarized_spectrum(self.nested.eval_null_transmission(si, active))
+        return mi.Spectrum(transmission * self._rest(self.km.value(si, active)))
 
     def to_string(self):
         nested = str(self.nested).replace("\n", "\n  ")

@@ -154,6 +154,7 @@ def _store(film, channels):
     until somebody develops the film."""
     width, height = (int(side) for side in film.crop_size())
     n = len(channels)
+    channels[0] = channels[0] + dr.zeros(mi.Float, width * height)
     image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
     index = dr.arange(mi.UInt32, width * height * (n + 1))
     pixel = index // (n + 1)

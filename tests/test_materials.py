@@ -1,0 +1,189 @@
+"""Kernels without what a scene does not need show what the general ones show, bit by bit."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from phong_bsdf import materials
+
+PHONG = {"type": "phong", "kd": {"type": "rgb", "value": [0.8, 0.3, 0.1]}, "ks": 0.4, "p": 20}
+BLINN = {"type": "blinnphong", "kd": 0.3, "ks": {"type": "rgb", "value": [0.1, 0.5, 0.9]}, "p": 200}
+BRIGHT = {"type": "blinnphong", "diffuse_reflectance": 0.9, "specular_reflectance": 0.8, "exponent": 10.0}
+NORMALIZED = {"type": "phong", "diffuse_reflectance": 0.2, "specular_reflectance": 0.3, "exponent": 3.0}
+POINTS = {f"light {i}": {"type": "point", "position": [i - 2, 3, -1 - i], "intensity": 0.2} for i in range(6)}
+SUN = {"sun": {"type": "directional", "direction": [0.3, -1, 0.4], "irradiance": 0.4}}
+
+
+def mirror(bsdf, km=0.4):
+    return {"type": "mirrorblend", "km": km, "nested": bsdf}
+
+
+def scene(bsdfs, lights, size=48, spp=1, **options):
+    """Balls in a row on a floor of the last material."""
+    t = mi.ScalarTransform4f
+    *balls, floor = bsdfs if len(bsdfs) > 1 else bsdfs * 2
+    shapes = {
+        f"ball {i}": {"type": "sphere", "center": [2.2 * i - 1.1 * (len(balls) - 1), 0, 0], "bsdf": bsdf}
+        for i, bsdf in enumerate(balls)
+    }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "whitted", **options},
+            "sensor": {
+                "type": "perspective",
+                "to_world": t().look_at([0, 2, 8], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": spp},
+            },
+            "floor": {
+                "type": "rectangle",
+                "to_world": t().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale([9, 9, 1]),
+                "bsdf": floor,
+            },
+            **shapes,
+            **lights,
+        }
+    )
+
+
+SCENES = {
+    "one": ([PHONG], SUN),
+    "both lobes": ([PHONG, BLINN], POINTS),
+    "mirrors": ([mirror(PHONG), BLINN, mirror(BLINN, 1.0), mirror(PHONG, {"type": "rgb", "value": [0, 0.5, 1]})], SUN),
+    "vocabularies": ([PHONG, BRIGHT, NORMALIZED, mirror(BRIGHT)], {**SUN, "point": POINTS["light 0"]}),
+    "no highlight": ([{"type": "phong", "ks": 0}, {"type": "blinnphong", "ks": 0, "kd": 0.2}], SUN),
+    "highlight only": ([{"type": "phong", "kd": 0}, {"type": "phong", "kd": 0, "p": 0}], SUN),
+    "black": ([{"type": "phong", "kd": 0, "ks": 0}], SUN),
+    "no light": ([mirror(PHONG)], {"sky": {"type": "constant"}}),
+    "no surface": ([], SUN),
+}
+
+
+@pytest.mark.parametrize(
+    "options", ({}, {"convention": "physical"}, {"ambient": 0.3}, {"max_depth": 2}, {"max_depth": -1})
+)
+@pytest.mark.parametrize("name", SCENES)
+def test_arrays_show_what_dispatch_shows(name, options):
+    """The same picture from constants in arrays and from calls of the BSDFs."""
+    bsdfs, lights = SCENES[name]
+    if bsdfs:
+        pictures = [np.array(mi.render(scene(bsdfs, lights, specialize=flag, **options))) for flag in (True, False)]
+        assert materials.tabulate(scene(bsdfs, lights)) is not None
+    else:
+        pictures = [np.array(mi.render(mi.load_dict({"type": "scene", "i": {"type": "whitted", "specialize": flag},
+                    "s": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}, **SUN})))
+                    for flag in (True, False)]  # fmt: skip
+    assert np.array_equal(*pictures)
+    assert name in ("black", "no surface") or options == {"max_depth": 2} or pictures[0].max() > 0
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "diffuse"},
+        {"type": "twosided", "b": PHONG},
+        {"type": "phong", "kd": {"type": "checkerboard"}},
+        mirror({"type": "diffuse"}),
+        mirror(mirror(PHONG)),
+    ],
+)
+def test_other_bsdfs_are_called(bsdf):
+    """Then the scene is no table."""
+    assert materials.tabulate(scene([PHONG, bsdf], SUN)) is None
+
+
+def test_updates_are_seen():
+    """A constant that is changed, and one that a frozen function changes."""
+    loaded, general = (scene([PHONG, mirror(BLINN)], SUN, specialize=flag) for flag in (True, False))
+    keys = [key for key in mi.traverse(loaded).keys() if key.endswith(("kd.value", "km.value", ".p.value"))]  # noqa: SIM118
+    assert len(keys) == 5
+
+    def change(scene, x):
+        params = mi.traverse(scene)
+        for key in keys:
+            params[key] = type(params[key])(x)
+        params.update()
+
+    before = np.array(mi.render(loaded))
+    for x in (0.3, 0.7):
+        change(loaded, x)
+        change(general, x)
+        after = np.array(mi.render(loaded))
+        assert np.array_equal(after, np.array(mi.render(general))) and not np.array_equal(after, before)
+
+    @dr.freeze
+    def frozen(scene, x):
+        change(scene, x)
+        return mi.render(scene)
+
+    for x in (0.2, 0.5, 0.9):
+        picture = np.array(frozen(loaded, mi.Float(x)))
+        change(general, x)
+        assert np.array_equal(picture, np.array(mi.render(general)))
+        assert np.array_equal(picture, np.array(mi.render(loaded)))
+
+
+def operations(scene):
+    """Operations of the largest kernel of a rendering, and how many kernels were compiled by rendering again."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        dr.eval(mi.render(scene))
+        largest = max(k["operation_count"] for k in dr.kernel_history() if "operation_count" in k)
+        dr.kernel_history_clear()
+        dr.eval(mi.render(scene))
+        again = [k for k in dr.kernel_history() if "operation_count" in k]
+    return largest, len(again), sum(not k["cache_hit"] for k in again)
+
+
+def test_kernels_hold_what_the_scene_needs():
+    """A diffuse scene's kernel has at most 60 % of the general one's operations, and is all that a frame runs."""
+    diffuse = [{"type": "phong", "ks": 0}]
+    size, kernels, compiled = operations(scene(diffuse, SUN))
+    assert (kernels, compiled) == (1, 0)
+    general, _, _ = operations(scene([PHONG, mirror(BLINN)], {**SUN, "point": POINTS["light 0"]}, specialize=False))
+    assert size <= 0.6 * general
+    assert (
+        operations(scene([PHONG, mirror(BLINN)], SUN))[0]
+        < operations(scene([PHONG, mirror(BLINN)], SUN, specialize=False))[0]
+    )
+
+
+def test_values_are_no_part_of_the_kernel():
+    """Other constants, and more materials and lights, are the same kernel."""
+    three = [PHONG, *[BLINN] * 9, mirror(BLINN)]
+    operations(scene(three, POINTS))
+    for bsdfs, lights in (
+        ([{**PHONG, "p": 3, "ks": 0.9}, *[{**BLINN, "kd": 0.1}] * 9, mirror({**BLINN, "p": 7}, 0.2)], POINTS),
+        (three, {**POINTS, "another": {"type": "point", "position": [3, 3, 3]}}),
+        ([PHONG, *[{**BLINN, "p": 10 + i} for i in range(9)], mirror(BLINN)], POINTS),
+    ):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.eval(mi.render(scene(bsdfs, lights)))
+            assert all(k["cache_hit"] for k in dr.kernel_history() if k.get("operation_count", 0) > 200)
+
+
+@pytest.mark.parametrize(
+    "film",
+    [
+        {"pixel_format": "rgb"},
+        {"pixel_format": "rgba"},
+        {"pixel_format": "luminance"},
+        {"crop_width": 20, "crop_height": 9, "crop_offset_x": 7, "crop_offset_y": 30},
+    ],
+)
+def test_pixels_written_directly_are_the_film(film):
+    """Without a film's block: the same picture, and the film holds it for those who develop it later."""
+    pictures = []
+    for flag in (True, False):
+        loaded = scene([PHONG], SUN, specialize=flag)
+        sensor = mi.load_dict({
+            "type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 2, 8], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}, **film},
+            "sampler": {"type": "independent", "sample_count": 1},
+        })  # fmt: skip
+        pictures += [np.array(mi.render(loaded, sensor=sensor)), np.array(sensor.film().develop())]
+    for picture in pictures[1:]:
+        assert picture.shape == pictures[0].shape and np.array_equal(picture, pictures[0])
