@@ -13,6 +13,12 @@ mi.set_variant("llvm_ad_rgb")
 CPU_VARIANTS = [name for name in mi.variants() if name.startswith(("scalar", "llvm"))]
 
 
+def pytest_collection_finish(session):
+    """What has been imported by now stays: without it, looking for dead scenes after each test is ten times faster."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def _fresh():
     mi.set_variant("llvm_ad_rgb")
