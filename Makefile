@@ -19,6 +19,7 @@ check: $(READY)
 
 bench: $(READY)
 	@$(BIN)/python tests/benchmarks/lobes.py
+	@$(BIN)/python tests/benchmarks/floor.py
 
 figures: $(READY)
 	@$(BIN)/python docs/figures.py
