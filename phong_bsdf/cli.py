@@ -234,7 +234,7 @@ def _start(variant: str | None, threads: int | None, verbose: bool) -> None:
     except ImportError as error:
         remedy = llvm.REMEDY if variant.startswith("llvm") else "Its backend was not found on this machine."
         raise ValueError(f"the variant '{variant}' does not work here: {str(error).split('! ')[0]}. {remedy}") from None
-    mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Error)
+    mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Warn)
     # With a single thread Mitsuba's bitmap textures wait for ever.
     dr.set_thread_count(max(2, threads or os.cpu_count() or 2))
 

@@ -55,7 +55,11 @@ def analyse(scene) -> Needs:
     for emitter in scene.emitters():
         if not is_delta(emitter) and emitter.class_name() not in BACKGROUND_CLASSES:
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
-    return analyse_bsdfs(_bsdfs(scene))
+    bsdfs = _bsdfs(scene)
+    for bsdf in bsdfs:
+        if hasattr(bsdf, "refresh"):
+            bsdf.refresh()
+    return analyse_bsdfs(bsdfs)
 
 
 def analyse_bsdfs(bsdfs) -> Needs:

@@ -35,6 +35,9 @@ class Parameter:
         self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
         self._three_channels = self.varies and _has_three_channels(self.texture)
         self.plugin, self.upper = props.plugin_name(), upper
+        # They stay those of the texture, also after an update.
+        params = mi.traverse(self.texture)
+        self._arrays = [params[key] for key in params.keys() if dr.is_jit_v(params[key])]  # noqa: SIM118
         self.changed()
 
     def changed(self) -> None:
@@ -43,6 +46,9 @@ class Parameter:
         # Neither a frozen function nor one that is differentiated can look at numbers.
         blind = self.varies or self._differentiated or dr.flag(dr.JitFlag.FreezingScope)
         self._recorded = dr.flag(dr.JitFlag.FreezingScope)
+        self._seen = self._version()
+        # While they are kept, no other array gets their number.
+        self._kept = [dr.detach(array) for array in self._arrays]
         self._constant = None
         largest = None if blind else self.texture.max()
         self._zero = largest == 0
@@ -51,10 +57,40 @@ class Parameter:
         if not blind:
             self._check_constant()
 
+    def changed_by(self, keys) -> None:
+        """Look again after an update of `keys`, which may name a texture by its id instead of the parameter."""
+        # A frozen function must not take another shape than what it recorded.
+        if self.name in keys or not dr.flag(dr.JitFlag.FreezingScope):
+            self.changed()
+
     @property
     def left_out(self) -> bool:
         """Whether the parameter is the constant 0, and not being differentiated: what it scales is left out."""
+        if self._zero and self._is_outdated():
+            self._zero = False
         return self._zero and not self.differentiated
+
+    def refresh(self) -> bool:
+        """Look again if the value was changed behind this BSDF's back; whether it was.
+
+        Mitsuba tells one BSDF only of a change of a texture that several share.
+        """
+        outdated = self._is_outdated()
+        if outdated:
+            self.changed()
+        return outdated
+
+    def _is_outdated(self) -> bool:
+        return not (self.varies or dr.flag(dr.JitFlag.FreezingScope)) and self._version() != self._seen
+
+    def _version(self) -> tuple:
+        """What is another after the constant has changed: the numbers of its arrays, in scalar variants itself."""
+        if self.varies:
+            return ()
+        if not dr.is_jit_v(mi.Float):
+            params = mi.traverse(self.texture)
+            return tuple(str(params[key]) for key in params.keys())  # noqa: SIM118
+        return tuple(channel.index for array in self._arrays for channel in _channels(array))
 
     @property
     def differentiated(self) -> bool:
@@ -68,12 +104,12 @@ class Parameter:
         return self._differentiated
 
     def _grad_enabled(self) -> bool:
-        params = mi.traverse(self.texture)
-        return any(dr.grad_enabled(params[key]) for key in params.keys())  # noqa: SIM118  (it is no dict)
+        return any(dr.grad_enabled(array) for array in self._arrays)
 
     def constant(self) -> tuple[float, ...] | None:
         """The value as numbers, one for each channel; None where it varies, is differentiated, or changes unseen."""
         # A frozen function that changes the value does so without a call when it is replayed.
+        self.refresh()
         if self.varies or self.differentiated or self._recorded:
             return None
         if self._constant is None:
@@ -127,6 +163,13 @@ class Parameter:
             if not all(0 <= x <= self.largest for x in numbers):
                 given = numbers[0] if len(numbers) == 1 else numbers
                 raise ValueError(_message(self.plugin, self.name, self.upper, given))
+
+
+def _channels(array) -> list:
+    """The one-dimensional arrays that make up a number, colour, spectrum or tensor."""
+    if dr.is_tensor_v(array):
+        return [array.array]
+    return [array] if dr.depth_v(array) == 1 else list(array)
 
 
 def _message(plugin, name, upper, given) -> str:

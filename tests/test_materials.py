@@ -187,3 +187,30 @@ def test_pixels_written_directly_are_the_film(film):
         pictures += [np.array(mi.render(loaded, sensor=sensor)), np.array(sensor.film().develop())]
     for picture in pictures[1:]:
         assert picture.shape == pictures[0].shape and np.array_equal(picture, pictures[0])
+
+
+@pytest.mark.parametrize("specialize", (True, False))
+@pytest.mark.parametrize(("before", "after"), [(0.3, 0.9), (0.0, 0.4), (0.5, 0.0)])
+def test_shared_textures_are_followed(before, after, specialize):
+    """Mitsuba tells one of the BSDFs that share a texture of its change; the others look themselves."""
+
+    def build(value):
+        shared = {"type": "ref", "id": "shared"}
+        bsdfs = [
+            {"type": "phong", "diffuse_reflectance": shared, "specular_reflectance": 0.5},
+            {"type": "blinnphong", "kd": shared, "ks": 0.1},
+            mirror({"type": "phong", "kd": 0.2, "ks": shared}),
+        ]
+        return scene(
+            bsdfs, {"shared": {"type": "uniform", "id": "shared", "value": value}, **SUN}, specialize=specialize
+        )
+
+    loaded = build(before)
+    first = np.array(mi.render(loaded))
+    params = mi.traverse(loaded)
+    # Named by its id, or by the first that has it.
+    key = next(k for k in params.keys() if k.startswith("shared.") or ".diffuse_reflectance." in k or ".kd." in k)  # noqa: SIM118
+    params[key] = after
+    params.update()
+    assert np.array_equal(np.array(mi.render(loaded)), np.array(mi.render(build(after))))
+    assert not np.array_equal(np.array(mi.render(loaded)), first)

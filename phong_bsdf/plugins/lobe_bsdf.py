@@ -33,7 +33,7 @@ class LobeBSDF(mi.BSDF):
         self.albedo = albedo.Table(self.NAME, self.reflectances, mi.Float)
         # Here Dr.Jit finds it when it freezes a function; inside of a helper object it would not.
         self.albedo_ratios = self.albedo.ratios
-        self.parameters_changed(list(names))
+        self.parameters_changed([])
         if self.scale != 1:
             mi.Log(
                 mi.LogLevel.Warn,
@@ -52,8 +52,7 @@ class LobeBSDF(mi.BSDF):
 
     def parameters_changed(self, keys):
         for parameter in self.parameters:
-            if parameter.name in keys:
-                parameter.changed()
+            parameter.changed_by(keys)
         self._find_components()
         # A frozen or differentiated parameter cannot be looked at: the last scale stays.
         blind = dr.flag(dr.JitFlag.FreezingScope) or self.diffuse.differentiated or self.specular.differentiated
@@ -107,6 +106,11 @@ class LobeBSDF(mi.BSDF):
     def to_string(self):
         lines = [f"  {p.name} = {p.texture}".replace("\n", "\n  ") for p in self.parameters]
         return f"{type(self).__name__}[\n" + ",\n".join(lines) + "\n]"
+
+    def refresh(self):
+        """Take in what has changed without a call of `parameters_changed`."""
+        if any(parameter.refresh() for parameter in self.parameters):
+            self.parameters_changed([])
 
     def constants(self):
         """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""

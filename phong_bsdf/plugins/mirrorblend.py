@@ -56,8 +56,10 @@ class MirrorBlend(mi.BSDF):
         cb.put("nested_bsdf", self.nested, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
-        if "km" in keys:
-            self.km.changed()
+        self.km.changed_by(keys)
+        self._find_components()
+
+    def _find_components(self):
         nested = [self.nested.flags(i) for i in range(self.nested.component_count())]
         self.both_sides = mi.has_flag(self.nested.flags(), mi.BSDFFlags.BackSide)
         self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
@@ -140,6 +142,13 @@ class MirrorBlend(mi.BSDF):
         nested = str(self.nested).replace("\n", "\n  ")
         return f"MirrorBlend[\n  km = {self.km.texture},\n  nested_bsdf = {nested}\n]"
 
+    def refresh(self):
+        """Take in what has changed without a call of `parameters_changed`."""
+        if hasattr(self.nested, "refresh"):
+            self.nested.refresh()
+        if self.km.refresh():
+            self.parameters_changed([])
+
     def constants(self):
         """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""
         describe = getattr(self.nested, "constants", None)
@@ -159,7 +168,7 @@ class MirrorBlend(mi.BSDF):
         """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
         if self.mirrors == self.km.left_out:
             # A 0 is being differentiated.
-            self.parameters_changed([])
+            self._find_components()
         first = 1 if self.mirrors else 0
         mirror = self.mirrors and ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
         if not ctx.type_mask & self.nested_lobes or ctx.component < first:

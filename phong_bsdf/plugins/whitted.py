@@ -26,7 +26,8 @@ class Whitted(Base):
     with I_j the emitter's `intensity` (point, spot, projector) or `irradiance` (directional)
     and no falloff. The factor pi makes `diffuse` of reflectance rho look like kd = rho and
     gives `phong` and `blinnphong` the lecture's formulas. `convention = physical` has the
-    falloff 1/r^2 and no pi, and equals Mitsuba's `direct` and `path` for delta lights.
+    falloff 1/r^2 and no pi, and equals Mitsuba's `direct`, and `path` as far as that finds no
+    light that is scattered twice, for delta lights.
 
     =============  ======================  =======  ==================================================
     name           type                    default  meaning
