@@ -107,7 +107,7 @@ def plan(
         if plugin not in matching.TARGETS:
             raise ValueError(f"compare: '{plugin}' cannot be matched, only {', '.join(matching.TARGETS)}; "
                              f"give other BSDFs with all their parameters: --bsdf id={plugin},name=value")  # fmt: skip
-    state = rendering.parse(path, defines)
+    state = rendering.parse(path, defines, merge=False)
     found = {surface.name: surface for surface in surfaces.find(state, lambda root: rendering.make(path, root))}
     if not found:
         raise ValueError(f"{path}: the scene has no phong or blinnphong BSDF to compare")

@@ -68,14 +68,18 @@ def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
     return load_parsed(path, parse(path, defines), start)
 
 
-def parse(path: Path, defines: Mapping[str, str] | None = None):
-    """The nodes of a scene file, references resolved, nothing made of them yet: a `mitsuba.parser.ParserState`."""
+def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool = True):
+    """The nodes of a scene file, references resolved, nothing made of them yet: a `mitsuba.parser.ParserState`.
+
+    With `merge` nodes that are equal become one, as Mitsuba does it, and lose their ids.
+    """
     path = Path(path)
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder" if path.is_dir() else f"{path}: there is no such file")
     try:
         with _files_beside(path):
             config = mi.parser.ParserConfig(mi.variant())
+            config.merge_equivalent = config.merge_meshes = merge
             state = mi.parser.parse_file(config, str(path), **(defines or {}))
             mi.parser.transform_all(config, state)
     except RuntimeError as error:

@@ -552,3 +552,13 @@ def test_interrupted_writing_leaves_no_page(scene, monkeypatch):
     result = command("a.xml", "-o", "out")
     assert result.exit_code == 2 and "no space left" in result.stderr
     assert not Path("out/index.html").exists() and not list(Path("out").glob(".*"))
+
+
+def test_equal_surfaces_keep_their_ids(scene):
+    """Mitsuba would make one of them; each can be swapped alone."""
+    twin = '<bsdf type="phong" id="{}"><float name="p" value="7"/></bsdf>'
+    path = scene(
+        f'<bsdf type="blendbsdf"><float name="weight" value="0.5"/>{twin.format("a")}{twin.format("b")}</bsdf>'
+    )
+    kept = compare(path, "--size", "4x3", "--bsdf", "b=diffuse")
+    assert [s["swapped"] for s in kept["rows"]] == [0, 1]
