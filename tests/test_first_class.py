@@ -7,6 +7,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from test_bsdf_contract import hemisphere, interaction
+from test_bsdf_contract import incidence as direction
 
 from phong_bsdf.albedo import directional_albedo
 
@@ -48,22 +50,6 @@ def formula(kind, vocabulary, wi, wo, diffuse=0.4, specular=0.3, p=20.0):
         c = (p + 2) / (2 * np.pi) if kind == "phong" else (p + 2) * (p + 4) / (8 * np.pi * (2 ** (-p / 2) + p))
         f = (diffuse / np.pi + specular * c * lobe) * wo[2]
     return np.where((wi[2] > 0) & (wo[2] > 0), f, 0)
-
-
-def direction(degrees, azimuth=0.7):
-    theta = math.radians(degrees)
-    return mi.Vector3f(math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth), math.cos(theta))
-
-
-def interaction(wi):
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(wi))
-    si.wi, si.p, si.uv = wi, mi.Point3f(0), mi.Point2f(0.5)
-    return si
-
-
-def hemisphere(n, seed=0):
-    rng = mi.PCG32(n, seed)
-    return mi.warp.square_to_uniform_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
 
 
 def draw(bsdf, wi, n, ctx=None, seed=0):

@@ -1,5 +1,7 @@
 """A diffuse base and one cosine-power lobe: all that `phong` and `blinnphong` share."""
 
+import functools
+
 import drjit as dr
 import mitsuba as mi
 
@@ -13,7 +15,11 @@ REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
 ENERGY = "ensure_energy_conservation"
 DEFAULTS = (0.5, 0.2, 30.0)
 
-ALL_COMPONENTS = 0xFFFFFFFF
+
+@functools.cache
+def _albedo_table(lobe: str, reflectance: bool):
+    """One for all BSDFs of a kind. This module is reloaded for each variant, and the cache with it."""
+    return albedo.Table(lobe, reflectance, mi.Float)
 
 
 class LobeBSDF(mi.BSDF):
@@ -30,10 +36,11 @@ class LobeBSDF(mi.BSDF):
         self.parameters = (self.diffuse, self.specular, self.exponent)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
         self.scale, self.scale_array = 1.0, mi.Float(1)
-        self.albedo = albedo.Table(self.NAME, self.reflectances, mi.Float)
+        self.albedo = _albedo_table(self.NAME, self.reflectances)
         # Here Dr.Jit finds it when it freezes a function; inside of a helper object it would not.
         self.albedo_ratios = self.albedo.ratios
-        self.parameters_changed([])
+        self._find_components()
+        self._apply_energy_rule()
         if self.scale != 1:
             mi.Log(
                 mi.LogLevel.Warn,
@@ -54,6 +61,9 @@ class LobeBSDF(mi.BSDF):
         for parameter in self.parameters:
             parameter.changed_by(keys)
         self._find_components()
+        self._apply_energy_rule()
+
+    def _apply_energy_rule(self):
         # A frozen or differentiated parameter cannot be looked at: the last scale stays.
         blind = dr.flag(dr.JitFlag.FreezingScope) or self.diffuse.differentiated or self.specular.differentiated
         if self.conserves_energy and not blind:

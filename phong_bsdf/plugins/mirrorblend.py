@@ -49,7 +49,7 @@ class MirrorBlend(mi.BSDF):
         if len(nested) != 1:
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
-        self.parameters_changed([])
+        self._find_components()
 
     def traverse(self, cb):
         cb.put("km", self.km.texture, mi.ParamFlags.Differentiable)
