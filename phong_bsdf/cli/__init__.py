@@ -1,0 +1,19 @@
+"""The command `phong-bsdf`: parses, calls, prints. Exit codes: 0 good, 1 a check failed, 2 bad usage or input."""
+
+import click
+
+from .. import __version__
+from .compare import compare
+from .doctor import doctor
+from .render import render
+from .stability import stability
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="phong-bsdf")
+def main():
+    """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
+
+
+for command in (render, compare, stability, doctor):
+    main.add_command(command)

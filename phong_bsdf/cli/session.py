@@ -1,0 +1,64 @@
+"""What every command does first and last: variant and threads, a progress bar, errors as sentences."""
+
+import os
+import sys
+from contextlib import contextmanager
+
+import click
+
+from .. import llvm
+
+
+def start(variant: str | None, threads: int | None, verbose: bool) -> None:
+    """Set variant, threads and log level."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if variant is None:
+        variant = "llvm_ad_rgb" if drjit_has_llvm() else "scalar_rgb"
+        if variant == "scalar_rgb":
+            click.echo(f"Warning: no usable LLVM, so scalar_rgb is used, which is very slow. {llvm.REMEDY}", err=True)
+    if variant not in mi.variants():
+        raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
+    try:
+        mi.set_variant(variant)
+    except llvm.LLVMError:
+        raise
+    except ImportError as error:
+        remedy = llvm.REMEDY if variant.startswith("llvm") else "Its backend was not found on this machine."
+        raise ValueError(f"the variant '{variant}' does not work here: {str(error).split('! ')[0]}. {remedy}") from None
+    mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Warn)
+    # With a single thread Mitsuba's bitmap textures wait for ever.
+    dr.set_thread_count(max(2, threads or os.cpu_count() or 2))
+
+
+def drjit_has_llvm() -> bool:
+    import drjit
+
+    return drjit.detail.llvm_version()[0] >= llvm.OLDEST
+
+
+@contextmanager
+def errors():
+    """Turn an expected error into one sentence and exit code 2."""
+    try:
+        yield
+    except (ValueError, OSError, ImportError) as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(2)
+    except MemoryError:
+        click.echo("Error: the picture does not fit into memory", err=True)
+        sys.exit(2)
+
+
+@contextmanager
+def progress():
+    """A progress bar on a terminal, nothing elsewhere. Yields show(what, share done)."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("loading", total=1)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
