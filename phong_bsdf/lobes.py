@@ -205,7 +205,8 @@ def _blinnphong_tan2(wi, wo):
     sines, dot = s_i * s_o, dr.fma(wi.x, wo.x, wi.y * wo.y)
     cross = _sum_of_products(wi.x, wo.y, -wi.y, wo.x) * inv_z
     opposite = dot < 0
-    not_opposite = dr.select(opposite, cross, (sines + dot) * inv_z) * dr.select(opposite, cross / (sines - dot), inv_z)
+    both = dr.maximum(sines - dot, SHORTEST**2)
+    not_opposite = dr.select(opposite, cross, (sines + dot) * inv_z) * dr.select(opposite, cross / both, inv_z)
     return dr.fma(unequal, unequal, 2 * length_i * length_o * not_opposite)
 
 

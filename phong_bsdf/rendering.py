@@ -108,7 +108,7 @@ def load_parsed(path: Path, state, start: float | None = None) -> LoadedScene:
     integrator = type(scene.integrator()).__name__
     if integrator == WHITTED:
         try:
-            needs.analyse(scene)
+            needs.check_lights(scene)
         except needs.UnsupportedScene as error:
             raise SceneError(_locate(error, path, state)) from None
     return LoadedScene(Path(path), scene, integrator, time.perf_counter() - start)

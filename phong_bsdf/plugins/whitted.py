@@ -4,8 +4,9 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.camera import CameraSamples
+from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
-from phong_bsdf.tracer import Tracer
+from phong_bsdf.tracer import Memory, Tracer
 
 IS_JIT = dr.is_jit_v(mi.Float)
 
@@ -73,15 +74,18 @@ class Whitted(Base):
         self.shadows = props.get("shadows", True)
         if not isinstance(self.shadows, bool):
             raise ValueError(f"whitted: 'shadows' must be true or false, got {self.shadows}")
-        self.specialize = props.get("specialize", True)
-        if not isinstance(self.specialize, bool):
-            raise ValueError(f"whitted: 'specialize' must be true or false, got {self.specialize}")
+        specialize = props.get("specialize", True)
+        if not isinstance(specialize, bool):
+            raise ValueError(f"whitted: 'specialize' must be true or false, got {specialize}")
+        # Features that stay in the kernel though a scene does not need them: measurements set this.
+        self.keep = frozenset() if specialize else frozenset(FEATURES)
+        self.memory = Memory()
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
 
     def sample(self, scene, sampler, ray, medium=None, active=True, mode=None, **_):
         """Radiance along `ray`, in the form that Mitsuba expects of an integrator of this variant."""
-        radiance, valid = self._tracer(scene, mode).trace(ray, active)
+        radiance, valid = self.tracer(scene, mode).trace(ray, active)
         return (radiance, valid, [], None) if IS_JIT else (radiance, valid, [])
 
     def prepare(self, sensor, seed=0, spp=0, aovs=()):
@@ -97,17 +101,27 @@ class Whitted(Base):
     def to_string(self):
         return f"Whitted[convention = {self.convention}, max_depth = {self.depth}, shadows = {self.shadows}]"
 
-    def _tracer(self, scene, mode=None):
+    def tracer(self, scene, mode=None):
+        """What renders `scene`; `mode` is None or that of a derivative."""
         return Tracer(
             scene,
+            self.memory,
             convention=self.convention,
             max_depth=self.depth,
             shadows=self.shadows,
-            ambient=None if self.ambient.left_out else self.ambient,
+            ambient=None if self.ambient.left_out and "ambient" not in self.keep else self.ambient,
             hide_emitters=self.hide_emitters,
             gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
-            specialize=self.specialize,
+            keep=self.keep,
         )
+
+    def features(self, scene, sensor, spp):
+        """Those of `needs.FEATURES` that the kernel holds which renders `scene`."""
+        features = self.tracer(scene).features()
+        return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
+
+    def _needs_block(self, film, spp) -> bool:
+        return spp > 1 or "film block" in self.keep or not _is_plain(film)
 
     if IS_JIT:
 
@@ -116,12 +130,12 @@ class Whitted(Base):
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
             spp = spp or sensor.sampler().sample_count()
-            if spp > 1 or not (develop and self.specialize and _is_plain(film)):
+            if not develop or self._needs_block(film, spp):
                 return super().render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
                 samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
                 ray, weight, _ = self.sample_rays(scene, sensor, samples)
-                radiance, valid = self._tracer(scene).trace(ray, True)
+                radiance, valid = self.tracer(scene).trace(ray, True)
                 channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
                 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
                     channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
@@ -135,7 +149,7 @@ class Whitted(Base):
             samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
             film = sensor.film()
             block = film.create_block()
-            tracer = self._tracer(scene)
+            tracer = self.tracer(scene)
             for index in range(samples.count):
                 ray, weight, position = samples.rays(index)
                 radiance, valid = tracer.trace(ray, True)
