@@ -26,21 +26,23 @@ LARGE = 50
 class Surfaces:
     """The sizes of the shapes of `scene`, and hits and ray origins that respect them."""
 
-    def __init__(self, scene, boxes):
+    def __init__(self, scene, seen):
         shapes = scene.shapes()
         kinds = [shape.class_name() for shape in shapes]
-        extents = [_extent(boxes.of(shape)) for shape in shapes]
+        boxes = seen.boxes(shapes)
+        extents = [_extent(box) for box in boxes]
         curvatures = [_curvature(s) if kind == "Cylinder" else 0.0 for s, kind in zip(shapes, kinds, strict=True)]
         # The shapes inside of instances are not listed: they may be as large as any.
         hidden = "Instance" in kinds
-        self.extent, self.curvature = PerShape(scene, extents, hidden), PerShape(scene, curvatures, hidden)
+        self.extent = seen.per_shape("extent", scene, extents, hidden)
+        self.curvature = seen.per_shape("curvature", scene, curvatures, hidden)
         # The box of a camera is its position, known without reading an array.
         cameras = [sensor.bbox().min for sensor in scene.sensors()] if "Sphere" in kinds else []
         nearest = min(extents, default=0.0)
         self.spheres = [
             _Sphere(shape)
-            for shape, kind in zip(shapes, kinds, strict=True)
-            if kind == "Sphere" and _is_large(boxes.of(shape), nearest, cameras)
+            for shape, kind, box in zip(shapes, kinds, boxes, strict=True)
+            if kind == "Sphere" and _is_large(box, nearest, cameras)
         ]
 
     def refine(self, si, ray):
@@ -75,26 +77,43 @@ class Surfaces:
         return mi.Ray3f(o, direction, maxt, si.time, si.wavelengths)
 
 
-class Boxes:
-    """Bounding boxes of shapes."""
+class Seen:
+    """What is looked at once of the shapes of the scene that was rendered last.
+
+    While an array is kept, no other gets its number.
+    """
 
     def __init__(self):
-        self.known = {}
+        self.of_meshes, self.numbers = {}, {}
 
-    def of(self, shape):
-        """The box of `shape`."""
+    def boxes(self, shapes):
+        """The bounding boxes of `shapes`."""
+        before, self.of_meshes = self.of_meshes, {}
+        return [self._box(shape, before) for shape in shapes]
+
+    def per_shape(self, name, scene, values, hidden):
+        """`PerShape` of these values, the one of the last rendering if they are the same."""
+        if not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
+            return PerShape(scene, values, hidden)
+        pointers = scene.shapes_dr()
+        key = (pointers.index, tuple(values), hidden)
+        if name not in self.numbers or self.numbers[name][0] != key:
+            self.numbers[name] = key, pointers, PerShape(scene, values, hidden)
+        return self.numbers[name][2]
+
+    def _box(self, shape, before):
         box = shape.bbox()
-        return box if box.valid() else self._of_mesh(mi.traverse(shape)["vertex_positions"])
-
-    def _of_mesh(self, positions):
-        """Mitsuba joins meshes of equal BSDFs, and forgets the box. Looked at once: while it is kept, no other array
-        gets its number."""
-        key = positions.index if dr.is_jit_v(positions) else id(positions)
-        if key not in self.known:
+        if box.valid():
+            return box
+        # Mitsuba joins meshes of equal BSDFs, and forgets the box.
+        positions = mi.traverse(shape)["vertex_positions"]
+        key = positions.index if dr.is_jit_v(positions) else None
+        if key is None or key not in before:
             points = np.array(positions).reshape(-1, 3)
             box = mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
-            self.known = {**self.known, key: (box, dr.detach(positions))}
-        return self.known[key][0]
+            before = {key: (box, dr.detach(positions))}
+        self.of_meshes[key] = before[key]
+        return before[key][0]
 
 
 class PerShape:

@@ -13,7 +13,7 @@ from .dispatch import Dispatch
 from .lights import Dark, Lights
 from .materials import Table
 from .needs import DeltaLobes, check_lights, delta_lobes, prepared, wake
-from .spawn import Boxes, Surfaces
+from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
 FAINTEST = 1e-6
@@ -31,7 +31,7 @@ class Memory:
 
     table: Table = field(default_factory=Table)
     dark: Dark = field(default_factory=Dark)
-    boxes: Boxes = field(default_factory=Boxes)
+    seen: Seen = field(default_factory=Seen)
 
 
 class Tracer:
@@ -58,7 +58,7 @@ class Tracer:
             wake(scene)
         check_lights(scene)
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
-        self.surfaces = Surfaces(scene, memory.boxes)
+        self.surfaces = Surfaces(scene, memory.seen)
         self.background = scene.environment()
         self.course = convention == "course"
         self.shadows = shadows

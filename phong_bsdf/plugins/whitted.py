@@ -80,6 +80,8 @@ class Whitted(Base):
         # Features that stay in the kernel though a scene does not need them: measurements set this.
         self.keep = frozenset() if specialize else frozenset(FEATURES)
         self.memory = Memory()
+        # Hears the share done after each of several passes.
+        self.on_progress = lambda share: None
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
 
@@ -96,7 +98,7 @@ class Whitted(Base):
 
     def sample_rays(self, scene, sensor, samples):
         """Camera rays of all samples, their weights, and their positions on the film."""
-        return samples.rays(dr.arange(mi.UInt32, samples.count))
+        return samples.all()
 
     def to_string(self):
         return f"Whitted[convention = {self.convention}, max_depth = {self.depth}, shadows = {self.shadows}]"
@@ -126,20 +128,41 @@ class Whitted(Base):
     if IS_JIT:
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
-            """One sample for each pixel is the picture; more, and other filters, go through the film's block."""
+            """One sample for each pixel is the picture; more, and other filters, go through the film's block, pass by
+            pass where they are many."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
             spp = spp or sensor.sampler().sample_count()
-            if not develop or self._needs_block(film, spp):
-                return super().render(scene, sensor, seed, spp, develop, evaluate)
+            if not develop:
+                raise ValueError("whitted: renders with develop = true only; sensor.film() has the rest afterwards")
             with dr.suspend_grad():
-                samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
-                ray, weight, _ = self.sample_rays(scene, sensor, samples)
-                radiance, valid = self.tracer(scene).trace(ray, True)
+                samples, spp = self.prepare(sensor, seed, spp, self.aov_names())
+                tracer = self.tracer(scene)
+                if self._needs_block(film, spp):
+                    return self._render_passes(samples, tracer, film)
+                ray, weight, _ = samples.all()
+                radiance, valid = tracer.trace(ray, True)
                 channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
                 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
                     channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
                 return _store(film, channels)
+
+        def _render_passes(self, samples, tracer, film):
+            block = film.create_block()
+            # The samples of a pixel are neighbours: added up before they are written.
+            block.set_coalesce(block.coalesce() and samples.spp >= 4)
+            passes = samples.passes()
+            for first, pixels in passes:
+                ray, weight, position = samples.pixel_rays(first, pixels)
+                radiance, valid = tracer.trace(ray, True)
+                alpha = dr.select(valid, mi.Float(1), mi.Float(0))
+                Base._splat_to_block(block, film, position, radiance * weight, mi.Float(1), alpha, [], ray.wavelengths)
+                if len(passes) > 1:
+                    dr.eval(block.tensor())
+                    dr.sync_thread()
+                    self.on_progress((first + pixels) / samples.pixels)
+            film.put_block(block)
+            return film.develop()
 
     else:
 
