@@ -43,6 +43,10 @@ class CameraSamples:
         width, height = (int(side) + 2 * self.border for side in self.film.crop_size())
         self.width, self.pixels, self.count = width, width * height, width * height * spp
         self.seed = seed
+        self.offset, self.size = mi.Vector2f(self.film.crop_offset()), mi.Vector2f(self.film.crop_size())
+        if self.jit and dr.any(self.film.crop_size() != self.film.size()):
+            # Pictures in bands are windows one after the other: no literals, or each would be another kernel.
+            dr.make_opaque(self.offset, self.size)
         if self.sampler is not None and self.jit:
             self.sampler.set_samples_per_wavefront(spp)
 
@@ -78,8 +82,7 @@ class CameraSamples:
             else:
                 self.sampler.advance()
         y = pixel // self.width
-        offset = mi.Vector2f(self.film.crop_offset())
-        corner = mi.Point2f(pixel - y * self.width, y) + (offset - self.border)
+        corner = mi.Point2f(pixel - y * self.width, y) + (self.offset - self.border)
         if self.grid is None:
             inside = self.sampler.next_2d()
         else:
@@ -94,7 +97,7 @@ class CameraSamples:
         ray, weight = self.sensor.sample_ray_differential(
             time=time,
             sample1=self.sampler.next_1d() if mi.is_spectral else 0,
-            sample2=(position - offset) / mi.Vector2f(self.film.crop_size()),
+            sample2=(position - self.offset) / self.size,
             sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
         )
         # The box filter needs to know the pixel only, and no rounding may miss it.
