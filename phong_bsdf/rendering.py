@@ -238,7 +238,8 @@ def _heard(integrator, on_progress):
 
 def _bands(scene, sensor, spp, seed, rows):
     params = mi.traverse(sensor)
-    size, offset = params["film.crop_size"], params["film.crop_offset"]
+    # Copies: what `traverse` gives changes with the film.
+    size, offset = mi.ScalarVector2u(params["film.crop_size"]), mi.ScalarPoint2u(params["film.crop_offset"])
     (width, height), (left, top) = (tuple(map(int, v)) for v in (size, offset))
     image = None
     try:
