@@ -22,6 +22,10 @@ FAINT = 1e-15
 LARGEST_EXPONENT = 1e15
 
 
+# Constant textures whose value is the array that they hold, in variants that render RGB.
+PLAIN = ("UniformSpectrum", "SRGBReflectanceSpectrum")
+
+
 class Watch:
     """Notices that some of the arrays of Mitsuba's objects, through `mi.traverse`, hold something else than before."""
 
@@ -127,7 +131,10 @@ class Parameter:
         if self.varies or self.differentiated or self._recorded:
             return None
         if self._constant is None:
-            self._constant = tuple(dr.ravel(self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))).numpy().tolist())
+            # Most constants are the array that holds them; to evaluate a thousand would launch a kernel for each.
+            plain = self.texture.class_name() in PLAIN and len(self.arrays) == 1 and not mi.is_spectral
+            value = self.arrays[0] if plain else self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))
+            self._constant = tuple(dr.ravel(value).numpy().tolist())
         return self._constant
 
     def value(self, si, active):
