@@ -136,6 +136,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
     tracer = integrator.tracer(scene)
     bsdfs = {b.ptr: b for b in (shape.bsdf() for shape in scene.shapes()) if b is not None}.values()
     lights = Counter(LIGHTS.get(e.class_name(), e.class_name()) for e in scene.emitters() if is_delta(e))
+    textured = any(mi.has_flag(b.flags(), mi.BSDFFlags.SpatiallyVarying) for b in bsdfs)
     film = sensor.film()
     box = film.rfilter().is_box_filter()
     spheres = len(tracer.surfaces.spheres)
@@ -157,6 +158,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
         "light calls": "intensity by direction" if not tracer.lights.uniform else "the same in all directions",
         "ambient": "0" if integrator.ambient.left_out else "some",
         "film block": f"{'box' if box else film.rfilter().class_name()} filter, {spp} spp",
+        "textures": ("some" if textured else "none", textured, "texture coordinates"),
         "shadows": ("on" if integrator.shadows else "off", integrator.shadows, "shadow rays"),
         "background": (
             "none" if tracer.background is None else tracer.background.class_name(),
