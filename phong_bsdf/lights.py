@@ -32,7 +32,8 @@ class Dark:
 
     def among(self, emitters) -> set[int]:
         """The numbers of those of the `emitters` whose intensity is the constant 0."""
-        if not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
+        # What `mi.traverse` shows of a spectrum is no intensity.
+        if not dr.is_jit_v(mi.Float) or mi.is_spectral or dr.flag(dr.JitFlag.FreezingScope):
             return set()
         same = len(emitters) == len(self.emitters) and all(map(operator.is_, emitters, self.emitters))
         if not same or (self.watch and self.watch.changed()):
