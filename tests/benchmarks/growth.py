@@ -4,6 +4,7 @@ Each point is a process of its own with an empty kernel cache, all of them loade
 rendering in turns.
 """
 
+import math
 import resource
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from . import scenes
-from .measure import Kernels, Plan, compared, fresh_process, kernels, record, seconds, slope
+from .measure import Kernels, Plan, fresh_process, kernels, record, seconds, slope
 from .rays import Floor
 
 COST = "time / ray floor, per light"
@@ -29,7 +30,7 @@ class Axis:
 
 
 def _pixels(x):
-    return scenes.lecture(x)
+    return scenes.lecture(math.isqrt(x))
 
 
 def _lights(x):
@@ -49,11 +50,11 @@ def _bounces(x):
 
 
 AXES = {
-    "pixels of a side": Axis(_pixels, (64, 128, 256, 512, 1024, 2048, 4096), (32, 64)),
+    "pixels": Axis(_pixels, tuple(side**2 for side in (64, 128, 256, 512, 1024, 2048, 4096)), (32**2, 64**2)),
     "lights": Axis(_lights, (1, 3, 10, 30, 100, 300, 1000), (1, 10), with_floor=True),
     "materials": Axis(_materials, (1, 10, 100, 1000), (1, 10)),
     "triangles": Axis(_triangles, (1_000, 10_000, 100_000, 1_000_000), (1_000, 2_000)),
-    "mirror bounces": Axis(_bounces, (0, 1, 2, 4, 8, 16), (0, 2)),
+    "mirror bounces": Axis(_bounces, (0, 1, 2, 4, 8, 16), (0, 1, 2)),
 }
 
 
@@ -96,10 +97,12 @@ def _derived(name, values, found, times):
     derived = []
     for quantity in ("time", "operations", "memory of arrays"):
         points = [(r.x, r.median) for r in found if r.task == "whitted" and r.quantity == quantity and r.x > 0]
-        derived.append(record("growth", name, "whitted", f"exponent of {quantity}", slope(*zip(*points, strict=True)), "1"))
+        derived.append(
+            record("growth", name, "whitted", f"exponent of {quantity}", slope(*zip(*points, strict=True)), "1")
+        )
     least, most = values[0], values[-1]
-    pairs = {str(least): times[least]["whitted"], str(most): times[most]["whitted"]}
-    derived += [r for r in compared("growth", name, pairs, str(least)) if r.unit == "x"]
+    pairs = zip(times[most]["whitted"], times[least]["whitted"], strict=True)
+    derived.append(record("growth", name, "whitted", f"time at {most} / at {least}", [a / b for a, b in pairs], "x"))
     if "ray floor" in times[least]:
         # What the last lights cost, each: the difference of the two largest numbers.
         more = {

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from unittest import mock
 
-import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
+import phong_bsdf  # before mitsuba: it chooses the LLVM
 
 import drjit as dr  # isort: skip
 import mitsuba as mi
@@ -57,14 +57,13 @@ class Record:
     versions: str
 
 
-def record(benchmark, scene, task, quantity, samples, unit, x=None, variant=None) -> Record:
+def record(benchmark, scene, task, quantity, samples, unit, x=None) -> Record:
     """A record of `samples`, one number or several."""
     samples = np.atleast_1d(np.asarray(samples, float))
     low, median, high = (float(q) for q in np.quantile(samples, (0.25, 0.5, 0.75)))
-    variant = variant or mi.variant()
     return Record(
-        benchmark, scene, task, quantity, None if x is None else float(x), median, low, high, unit, len(samples), variant,
-        dr.thread_count(), round(os.getloadavg()[0], 2), _machine(), _versions(),
+        benchmark, scene, task, quantity, None if x is None else float(x), median, low, high, unit, len(samples),
+        mi.variant(), dr.thread_count(), round(os.getloadavg()[0], 2), _machine(), _versions(),
     )  # fmt: skip
 
 
@@ -100,19 +99,22 @@ def interleaved(tasks: Mapping[str, Callable], rounds: int, clock=seconds, warmu
 
 
 @contextmanager
+def fresh_environment():
+    """Inside, new processes find no kernels of others: Dr.Jit keeps them in the home folder."""
+    with tempfile.TemporaryDirectory() as home, mock.patch.dict(os.environ, HOME=home):
+        yield
+
+
+@contextmanager
 def fresh_process(variant: str) -> Iterator[Callable]:
     """A new Python process with an empty kernel cache; yields run(function, *arguments), which runs functions there.
 
     What a kernel holds depends on everything that is alive in a process, and its compile time on
     what has been compiled before: scenes that are compared live in processes of their own.
     """
-    with tempfile.TemporaryDirectory() as home:
-        pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_start, initargs=(variant, dr.thread_count()))
-        with pool:
-            # The process starts now, and keeps this environment.
-            with mock.patch.dict(os.environ, HOME=home):
-                pool.submit(int).result()
-            yield lambda function, *arguments: pool.submit(function, *arguments).result()
+    pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_start, initargs=(variant, dr.thread_count()))
+    with fresh_environment(), pool:
+        yield lambda function, *arguments: pool.submit(function, *arguments).result()
 
 
 def _start(variant, threads):

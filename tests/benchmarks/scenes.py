@@ -1,4 +1,4 @@
-"""The scenes that are timed. Each function returns a loaded scene with the integrator `whitted`, `size` pixels square."""
+"""The scenes that are timed: each function returns one, loaded, with `whitted`, of `size` pixels square."""
 
 from pathlib import Path
 
