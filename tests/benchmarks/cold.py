@@ -27,11 +27,11 @@ def records(plan: Plan):
     with tempfile.TemporaryDirectory() as folder:
         runs = _starts(plan, Path(folder), size, rounds)
     found = []
-    for cache in ("empty cache", "filled cache"):
-        for stage in runs[cache][0]:
-            found.append(record("cold", "lecture", cache, stage, [run[stage] for run in runs[cache]], "s", size))
+    for cache, stages in runs.items():
+        for stage in stages[0]:
+            found.append(record("cold", "lecture", cache, stage, [run[stage] for run in stages], "s", size))
     # To the picture in memory, and to the file.
-    times = {cache: [sum(run.values()) - run.get("write", 0) for run in found] for cache, found in runs.items()}
+    times = {cache: [sum(run.values()) - run.get("write", 0) for run in stages] for cache, stages in runs.items()}
     found += _renamed(compared("cold", "lecture", times, "plain Mitsuba", size), "first picture")
     return found + _compiling(plan, size)
 

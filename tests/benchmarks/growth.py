@@ -12,11 +12,17 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from phong_bsdf.lights import FEW
+
 from . import scenes
 from .measure import Kernels, Plan, fresh_process, kernels, record, seconds, slope
 from .rays import Floor
 
+# What the lights beyond the second largest number cost, each, in units of their rays on the floor.
 COST = "time / ray floor, per light"
+
+# Operations of the kernel with most lights, in units of those with the fewest that stand in a loop.
+SAME_KERNEL = "operations, most / fewest in a loop"
 
 
 @dataclass(frozen=True)
@@ -89,10 +95,10 @@ def _along(plan, name, axis):
         arrays, process = memory[x]
         found.append(record("growth", name, "whitted", "memory of arrays", arrays, "bytes", x))
         found.append(record("growth", name, "whitted", "memory of the process", process, "bytes", x))
-    return found + _derived(name, values, found, times)
+    return found + _derived(name, values, found, times, first)
 
 
-def _derived(name, values, found, times):
+def _derived(name, values, found, times, first):
     """Exponents of time, operations and memory; the largest value's time over the smallest's; the cost of a light."""
     derived = []
     for quantity in ("time", "operations", "memory of arrays"):
@@ -102,7 +108,7 @@ def _derived(name, values, found, times):
         )
     least, most = values[0], values[-1]
     pairs = zip(times[most]["whitted"], times[least]["whitted"], strict=True)
-    derived.append(record("growth", name, "whitted", f"time at {most} / at {least}", [a / b for a, b in pairs], "x"))
+    derived.append(record("growth", name, "whitted", "time, most / least", [a / b for a, b in pairs], "x"))
     if "ray floor" in times[least]:
         # What the last lights cost, each: the difference of the two largest numbers.
         more = {
@@ -111,6 +117,8 @@ def _derived(name, values, found, times):
         }
         ratios = [w / f for w, f in zip(more["whitted"], more["ray floor"], strict=True)]
         derived.append(record("growth", name, "whitted", COST, ratios, "x"))
+        looped = [first[x].operations for x in values if x > FEW]
+        derived.append(record("growth", name, "whitted", SAME_KERNEL, looped[-1] / looped[0], "x"))
     return derived
 
 
