@@ -42,12 +42,19 @@ def _measure(name, size, rounds):
     tasks = {"ray floor": floor, "whitted": lambda: render(True), "whitted, general": lambda: render(False)}
     found = compared("floor", name, interleaved(tasks, rounds), "ray floor", size)
 
-    small = min(size, 256)
-    scene = build(small)
-    tasks = {"ray floor": Floor(scene, small, scenes.DEPTH, epsilon), "whitted": lambda: mi.render(scene)}
+    return found + _rays(name, build, epsilon, min(size, 256))
+
+
+def _rays(name, build, epsilon, size):
+    """How many rays each traces, and the share by which `whitted` differs from the floor."""
+    scene = build(size)
+    tasks = {"ray floor": Floor(scene, size, scenes.DEPTH, epsilon), "whitted": lambda: mi.render(scene)}
+    found, kinds = [], {}
     for task, run in tasks.items():
         rays = counted(run)
-        found.append(record("floor", name, task, "shadow rays", rays["ray_test"], "rays", small))
         followed = rays["ray_intersect"] + rays["ray_intersect_preliminary"]
-        found.append(record("floor", name, task, "camera and mirror rays", followed, "rays", small))
-    return found
+        kinds[task] = {"shadow rays": rays["ray_test"], "camera and mirror rays": followed}
+        found += [record("floor", name, task, kind, count, "rays", size) for kind, count in kinds[task].items()]
+    differ = sum(abs(kinds["whitted"][kind] - count) for kind, count in kinds["ray floor"].items())
+    share = differ / sum(kinds["ray floor"].values())
+    return [*found, record("floor", name, "whitted", "share of rays that differ", share, "1", size)]

@@ -114,6 +114,8 @@ def fresh_process(variant: str) -> Iterator[Callable]:
     """
     pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_start, initargs=(variant, dr.thread_count()))
     with fresh_environment(), pool:
+        # The process starts now, with the environment as it is now.
+        pool.submit(int).result()
         yield lambda function, *arguments: pool.submit(function, *arguments).result()
 
 

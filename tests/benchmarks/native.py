@@ -5,7 +5,7 @@ import gc
 import mitsuba as mi
 
 from . import scenes
-from .measure import Plan, compared, fresh_process, seconds
+from .measure import Plan, compared, fresh_process, record, seconds
 
 # Under `direct` without BSDF samples: a camera ray and a shadow ray a pixel, whatever the BSDF.
 LIGHT_ONLY = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
@@ -27,7 +27,12 @@ def records(plan: Plan):
     size = plan.of(1024, 64)
     with fresh_process(plan.variant) as run:
         times = run(_measure, size, plan.of(11, 2))
-    return compared("native", "balls", times, "direct, roughplastic", size)
+    found = compared("native", "balls", times, "direct, roughplastic", size)
+    for bsdf in ("diffuse", "phong", "blinnphong"):
+        pairs = zip(times[f"whitted, {bsdf}"], times[f"direct, {bsdf}"], strict=True)
+        ratios = [ours / direct for ours, direct in pairs]
+        found.append(record("native", "balls", f"whitted, {bsdf}", "time / direct, same BSDF", ratios, "x", size))
+    return found
 
 
 def _measure(size, rounds):

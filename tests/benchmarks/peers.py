@@ -50,7 +50,7 @@ def records(plan: Plan):
     installed = [name for name in PROGRAMS if shutil.which(name)]
     found = []
     for name, build in SCENES.items():
-        for size in plan.of((512, 1024, 2048, 4096), (32, 64)):
+        for size in plan.of((512, 1024, 2048, 4096), (64,)):
             found += _race(plan, name, build(), size, installed)
         found += _agreement(plan, name, build(), plan.of(512, 64), installed)
     return found

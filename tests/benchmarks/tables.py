@@ -36,7 +36,7 @@ class Table:
         for key, rows in groups.items():
             cells = [self._cell(rows, column) for column in self.columns]
             if any(cell is not None for cell in cells):
-                lines.append([*map(_label, key), *map(number, cells)])
+                lines.append([*map(_label, key), *map(_shown, cells)])
         headings = [*(name if name != "x" else "size" for name in self.by), *(c.heading for c in self.columns)]
         return f"{self.title}\n\n{text_table(headings, lines)}" if lines else ""
 
@@ -49,8 +49,13 @@ def _matches(row, where) -> bool:
     return all(getattr(row, name) == value for name, value in where.items())
 
 
+def _shown(value) -> str:
+    """Counts in full, other numbers in three digits."""
+    return f"{value:.0f}" if value is not None and value == int(value) and abs(value) < 1e8 else number(value)
+
+
 def _label(value) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:.10g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def _of(heading, task, quantity, scale=1.0):
@@ -80,6 +85,7 @@ FLOOR_TABLES = (
             _of("shadow, whitted", OURS, "shadow rays"),
             _of("camera and mirror, floor", FLOOR, "camera and mirror rays"),
             _of("camera and mirror, whitted", OURS, "camera and mirror rays"),
+            _of("share that differs", OURS, "share of rays that differ"),
         ),
     ),
 )
@@ -115,6 +121,7 @@ NATIVE_TABLES = (
         (
             Column("ms", {"quantity": "time"}, MS),
             Column("ratio", {"quantity": "time / direct, roughplastic"}),
+            Column("to direct, same BSDF", {"quantity": "time / direct, same BSDF"}),
         ),
     ),
 )

@@ -52,7 +52,8 @@ TARGETS = (
         Target(f"warm time / ray floor, {scene}", "<=", 1.15, "x", _is("floor", "time / ray floor", "whitted", scene))
         for scene in ("lecture", "course 6", "mesh", "100 spheres", "textured")
     ),
-    Target("Tachyon / ours, warm, lecture scene, 2048 x 2048", ">=", 1.7, "x", _peer("tachyon", "warm", "lecture", 2048)),
+    Target("Tachyon / ours, warm, lecture scene, 2048 x 2048", ">=", 1.7, "x",
+           _peer("tachyon", "warm", "lecture", 2048)),
     Target("POV-Ray / ours, warm, lecture scene, 2048 x 2048", ">=", 10, "x", _peer("povray", "warm", "lecture", 2048)),
     Target("Tachyon / ours, warm, least of all scenes and sizes", ">=", 1, "x", _peer("tachyon", "warm")),
     Target("POV-Ray / ours, warm, least of all scenes and sizes", ">=", 1, "x", _peer("povray", "warm")),
@@ -74,7 +75,8 @@ TARGETS = (
     Target("recorded frame, 64 x 64", "<=", 2e-3, "s", _is("memory", "time", "recorded frame")),
     Target("compile time / general kernel, lecture scene", "<=", 0.6, "x",
            _is("cold", "compile time / whitted, general")),
-    Target("arrays beside the picture, a pixel", "<=", 64, "bytes", _is("memory", "arrays beside the picture, a pixel")),
+    Target("arrays beside the picture, a pixel", "<=", 64, "bytes",
+           _is("memory", "arrays beside the picture, a pixel")),
     Target("growth of arrays over all renderings", "<=", 0, "bytes", _is("memory", "growth of arrays")),
     # The allocator of the C library may keep some.
     Target("growth of the process over all renderings", "<=", 2**20, "bytes", _is("memory", "growth of the process")),
@@ -96,6 +98,6 @@ def table(found: Sequence[Outcome]) -> str:
     """One line a target."""
     words = {True: "met", False: "MISSED", None: "not measured"}
     rows = [
-        (o.what, f"{o.sign} {o.limit:g} {o.unit}".rstrip(), number(o.measured), words[o.met]) for o in found
+        (o.what, f"{o.sign} {number(o.limit)} {o.unit}".rstrip(), number(o.measured), words[o.met]) for o in found
     ]  # fmt: skip
     return text_table(("target", "limit", "measured", ""), rows)
