@@ -134,7 +134,7 @@ class Kernels:
     compile_seconds: float
     """Code generation and the backend, LLVM or OptiX."""
     compiled: int
-    """Kernels that were not in memory."""
+    """Kernels that were found neither in memory nor on disk."""
 
 
 def kernels(task: Callable) -> Kernels:
@@ -147,7 +147,7 @@ def kernels(task: Callable) -> Kernels:
         sum(k["operation_count"] for k in found),
         len(found),
         sum(k.get(name, 0) for k in found for name in ("codegen_time", "backend_time")) / 1000,
-        sum(not k["cache_hit"] for k in found),
+        sum(not k["cache_hit"] and not k["cache_disk"] for k in found),
     )
 
 

@@ -27,7 +27,8 @@ def course(size):
     return _file("course/scene-6.xml", size)
 
 
-def _look(size, eye, target, fov=45):
+def look(size, eye, target, fov=45):
+    """A camera of `size` pixels square, one sample a pixel, box filter."""
     return {
         "type": "perspective",
         "fov": fov,
@@ -41,7 +42,7 @@ def _load(size, eye, target, objects, depth=DEPTH, **integrator):
     return mi.load_dict({
         "type": "scene",
         "integrator": {"type": "whitted", "max_depth": depth, **integrator},
-        "sensor": _look(size, eye, target),
+        "sensor": look(size, eye, target),
         **objects,
     })  # fmt: skip
 
@@ -154,7 +155,7 @@ def under(size, bsdf, integrator):
     return mi.load_dict({
         "type": "scene",
         "integrator": integrator,
-        "sensor": _look(size, [0, 1.6, 8], [0, -0.25, 0]),
+        "sensor": look(size, [0, 1.6, 8], [0, -0.25, 0]),
         **_still_life(bsdf),
         **lights_around(1),
     })  # fmt: skip
