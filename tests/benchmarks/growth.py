@@ -6,6 +6,7 @@ rendering in turns.
 
 import math
 import resource
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -27,40 +28,30 @@ SAME_KERNEL = "operations, most / fewest in a loop"
 
 @dataclass(frozen=True)
 class Axis:
-    """One quantity that grows: `build(x)` is a scene, `tiny` the values of a quick run."""
+    """One quantity that grows: `build(x, plan)` is a scene, `tiny` the values of a quick run."""
 
-    build: object
+    build: Callable
     values: tuple
     tiny: tuple
     with_floor: bool = False
 
 
-def _pixels(x):
-    return scenes.lecture(math.isqrt(x))
-
-
-def _lights(x):
-    return scenes.lit(256, x)
-
-
-def _materials(x):
-    return scenes.spheres(512, 1000, x)
-
-
-def _triangles(x):
-    return scenes.mesh(512, x)
-
-
-def _bounces(x):
-    return scenes.bouncing(512, x)
-
-
 AXES = {
-    "pixels": Axis(_pixels, tuple(side**2 for side in (64, 128, 256, 512, 1024, 2048, 4096)), (32**2, 64**2)),
-    "lights": Axis(_lights, (1, 3, 10, 30, 100, 300, 1000), (1, 10), with_floor=True),
-    "materials": Axis(_materials, (1, 10, 100, 1000), (1, 10)),
-    "triangles": Axis(_triangles, (1_000, 10_000, 100_000, 1_000_000), (1_000, 2_000)),
-    "mirror bounces": Axis(_bounces, (0, 1, 2, 4, 8, 16), (0, 1, 2)),
+    "pixels": Axis(
+        lambda x, plan: scenes.lecture(math.isqrt(x)),
+        tuple(side**2 for side in (64, 128, 256, 512, 1024, 2048, 4096)),
+        (32**2, 64**2),
+    ),
+    "lights": Axis(
+        lambda x, plan: scenes.lit(plan.of(256, 32), x), (1, 3, 10, 30, 100, 300, 1000), (1, 10), with_floor=True
+    ),
+    "materials": Axis(
+        lambda x, plan: scenes.spheres(plan.of(512, 32), plan.of(1000, 10), x), (1, 10, 100, 1000), (1, 10)
+    ),
+    "triangles": Axis(
+        lambda x, plan: scenes.mesh(plan.of(512, 32), x), (1_000, 10_000, 100_000, 1_000_000), (1_000, 2_000)
+    ),
+    "mirror bounces": Axis(lambda x, plan: scenes.bouncing(plan.of(512, 32), x), (0, 1, 2, 4, 8, 16), (1, 2)),
 }
 
 
@@ -77,7 +68,7 @@ def _along(plan, name, axis):
     tasks = ["whitted", *["ray floor"] * axis.with_floor]
     with ExitStack() as stack:
         runs = {x: stack.enter_context(fresh_process(plan.variant)) for x in values}
-        first = {x: run(_load, name, x) for x, run in runs.items()}
+        first = {x: run(_load, plan, name, x) for x, run in runs.items()}
         times = {x: {task: [] for task in tasks} for x in values}
         for i in range(plan.of(9, 2) + 1):
             for x, run in list(runs.items())[:: 1 if i % 2 else -1]:
@@ -127,10 +118,10 @@ def _derived(name, values, found, times, first):
 _tasks = {}
 
 
-def _load(name, x) -> Kernels:
+def _load(plan, name, x) -> Kernels:
     """Loads the scene of one point; the kernels of its first picture."""
     axis = AXES[name]
-    scene = axis.build(x)
+    scene = axis.build(x, plan)
     _tasks["whitted"] = lambda: mi.render(scene)
     if axis.with_floor:
         size = int(scene.sensors()[0].film().size()[0])
