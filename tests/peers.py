@@ -8,6 +8,7 @@ import re
 import subprocess
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from oracle import Camera, Light, Scene, Sphere
@@ -32,6 +33,28 @@ class Run:
     """What the program itself reports for tracing."""
     seconds_in_all: float
     """The whole process, start to written file."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A mesh with smooth normals, of one surface; only the peers and Mitsuba render it, not the oracle."""
+
+    path: Path
+    """The same as a PLY file, which Mitsuba reads."""
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    kd: tuple
+    ks: tuple
+    p: float
+    km: float = 0.0
+
+
+@dataclass(frozen=True)
+class MeshScene(Scene):
+    """A scene with meshes."""
+
+    meshes: tuple[Mesh, ...] = ()
 
 
 def lecture_scene(lobe):
@@ -87,18 +110,24 @@ def mitsuba_scene(scene, width, height, integrator="whitted"):
             f'<emitter type="point"><point name="position" x="{x!r}" y="{y!r}" z="{z!r}"/>',
             f'  <float name="intensity" value="{light.intensity!r}"/></emitter>',
         ]
+
+    def bsdf(shape):
+        nested = (
+            f'<bsdf type="{scene.lobe}"><rgb name="kd" value="{numbers(shape.kd)}"/>'
+            f'<float name="ks" value="{shape.ks[0]!r}"/><float name="p" value="{shape.p!r}"/></bsdf>'
+        )
+        if shape.km == 0:
+            return nested
+        return f'<bsdf type="mirrorblend"><float name="km" value="{shape.km!r}"/>{nested}</bsdf>'
+
     for sphere in scene.spheres:
         x, y, z = map(float, sphere.center)
-        bsdf = (
-            f'<bsdf type="{scene.lobe}"><rgb name="kd" value="{numbers(sphere.kd)}"/>'
-            f'<float name="ks" value="{sphere.ks[0]!r}"/><float name="p" value="{sphere.p!r}"/></bsdf>'
-        )
-        if sphere.km > 0:
-            bsdf = f'<bsdf type="mirrorblend"><float name="km" value="{sphere.km!r}"/>{bsdf}</bsdf>'
         lines += [
             f'<shape type="sphere"><point name="center" x="{x!r}" y="{y!r}" z="{z!r}"/>',
-            f'  <float name="radius" value="{sphere.radius!r}"/>{bsdf}</shape>',
+            f'  <float name="radius" value="{sphere.radius!r}"/>{bsdf(sphere)}</shape>',
         ]
+    for mesh in _meshes(scene):
+        lines.append(f'<shape type="ply"><string name="filename" value="{mesh.path}"/>{bsdf(mesh)}</shape>')
     return "\n".join([*lines, "</scene>"]) + "\n"
 
 
@@ -120,18 +149,28 @@ def povray_scene(scene, width, height):
         f"         look_at {vector(target)} }}",
     ]
     lines += [f"light_source {{ {vector(light.position)}, rgb {light.intensity!r} }}" for light in scene.lights]
-    for sphere in scene.spheres:
-        ks = (1 - sphere.km) * sphere.ks[0]
+
+    def surface(shape):
+        ks = (1 - shape.km) * shape.ks[0]
         highlight = {
-            "phong": f"phong {ks!r} phong_size {sphere.p!r}",
-            "blinnphong": f"specular {ks!r} roughness 1/{sphere.p!r}",
+            "phong": f"phong {ks!r} phong_size {shape.p!r}",
+            "blinnphong": f"specular {ks!r} roughness 1/{shape.p!r}",
         }[scene.lobe]
-        lines += [
-            f"sphere {{ {vector(sphere.center)}, {sphere.radius!r}",
-            f"  pigment {{ rgb {vector(sphere.kd)} }}",
-            f"  finish {{ ambient 0 emission 0 diffuse {1 - sphere.km!r} {highlight}",
-            f"           reflection {{ rgb {sphere.km!r} }} }} }}",
+        return [
+            f"  pigment {{ rgb {vector(shape.kd)} }}",
+            f"  finish {{ ambient 0 emission 0 diffuse {1 - shape.km!r} {highlight}",
+            f"           reflection {{ rgb {shape.km!r} }} }} }}",
         ]
+
+    def listed(name, vectors):
+        return f"  {name} {{ {len(vectors)}, " + ", ".join(map(vector, vectors)) + " }"
+
+    for sphere in scene.spheres:
+        lines += [f"sphere {{ {vector(sphere.center)}, {sphere.radius!r}", *surface(sphere)]
+    for mesh in _meshes(scene):
+        faces = ", ".join(f"<{a}, {b}, {c}>" for a, b, c in mesh.faces.tolist())
+        lines += ["mesh2 {", listed("vertex_vectors", mesh.vertices), listed("normal_vectors", mesh.normals)]
+        lines += [f"  face_indices {{ {len(mesh.faces)}, {faces} }}", *surface(mesh)]
     return "\n".join(lines) + "\n"
 
 
@@ -156,14 +195,27 @@ def tachyon_scene(scene, width, height):
     ]
     for light in scene.lights:
         lines.append(f"LIGHT CENTER {vector(light.position)} RAD 0.001 COLOR {vector([light.intensity] * 3)}")
+
+    def surface(shape):
+        return (
+            f"AMBIENT 0 DIFFUSE {1 - shape.km!r} SPECULAR {shape.km!r} OPACITY 1.0\n"
+            f"PHONG PLASTIC {(1 - shape.km) * shape.ks[0]!r} PHONG_SIZE {shape.p!r}\n"
+            f"COLOR {vector(shape.kd)} TEXFUNC 0"
+        )
+
     for sphere in scene.spheres:
-        lines += [
-            f"SPHERE CENTER {vector(sphere.center)} RAD {sphere.radius!r}",
-            f"TEXTURE AMBIENT 0 DIFFUSE {1 - sphere.km!r} SPECULAR {sphere.km!r} OPACITY 1.0",
-            f"PHONG PLASTIC {(1 - sphere.km) * sphere.ks[0]!r} PHONG_SIZE {sphere.p!r}",
-            f"COLOR {vector(sphere.kd)} TEXFUNC 0",
-        ]
+        lines += [f"SPHERE CENTER {vector(sphere.center)} RAD {sphere.radius!r}", f"TEXTURE {surface(sphere)}"]
+    for i, mesh in enumerate(_meshes(scene)):
+        lines.append(f"TEXDEF surface{i} {surface(mesh)}")
+        points, normals = (list(map(vector, v)) for v in (mesh.vertices, mesh.normals))
+        for face in mesh.faces.tolist():
+            corners = " ".join(f"V{k} {points[v]}" for k, v in enumerate(face))
+            lines += [f"STRI {corners}", " ".join(f"N{k} {normals[v]}" for k, v in enumerate(face)), f"surface{i}"]
     return "\n".join([*lines, "END_SCENE"]) + "\n"
+
+
+def _meshes(scene):
+    return getattr(scene, "meshes", ())
 
 
 # Who renders it ---------------------------------------------------------------------------------

@@ -126,6 +126,8 @@ class Floor:
         n = mi.Vector3f(si.sh_frame.n)
         front = active & si.is_valid() & (dr.dot(d, n) < 0)
         value = dr.select(active, mi.Float(dr.reinterpret_array(mi.UInt32, si.shape)), 0)
+        # A smooth normal that is turned away: others turn it back.
+        value = dr.select(active & si.is_valid() & ~front, dr.nan, value)
         for i in range(self.count):
             light = self.lights[i] if self.count <= FEW_LIGHTS else dr.gather(mi.Point3f, self.lights, i)
             cos = dr.dot(dr.normalize(light - start), n)
