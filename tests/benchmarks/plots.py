@@ -37,29 +37,38 @@ def peers(figure, records):
         axes.set(title=scene, xlabel="pixels of a side")
         _ticks(axes, records)
     figure.axes[0].set_ylabel("seconds")
-    figure.axes[-1].legend(fontsize="small")
+    figure.legend(*figure.axes[-1].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small")
 
 
 def growth(figure, records):
-    """Time, operations and memory over what grows."""
-    quantities = {"time": "seconds", "operations": "operations", "compile time": "compile seconds",
-                  "memory of the process": "bytes of the process"}  # fmt: skip
+    """Time, operations, compile time and memory over what grows."""
+    lines = (("time", "seconds", 1), ("operations", "operations", 1), ("compile time", "compile seconds", 1),
+             ("memory of the process", "process, MB", 2**-20))  # fmt: skip
     names = list(dict.fromkeys(row.scene for row in records))
-    for line, (quantity, label) in zip(figure.subplots(len(quantities), len(names)), quantities.items(), strict=True):
+    grid = figure.subplots(len(lines), len(names), sharex="col")
+    for line, (quantity, label, scale) in zip(grid, lines, strict=True):
         for axes, name in zip(line, names, strict=True):
-            for task in ("whitted", "ray floor"):
-                rows = _all(records, scene=name, task=task, quantity=quantity)
-                if rows:
-                    axes.plot(*_points(rows), marker="o", markersize=3, label=task)
-            axes.set_xscale("symlog" if name == "mirror bounces" else "log")
-            axes.set_yscale("log" if quantity == "time" else "linear")
-            if quantity != "time":
-                axes.set_ylim(0, None)
-            axes.tick_params(labelsize="small")
+            _grown(axes, _all(records, scene=name, quantity=quantity), scale)
+            if quantity == "time":
+                axes.set_yscale("log")
+                axes.autoscale(axis="y")
         line[0].set_ylabel(label)
-    for axes, name in zip(figure.axes[-len(names) :], names, strict=True):
+    for axes, name in zip(grid[-1], names, strict=True):
         axes.set_xlabel(name)
-    figure.axes[1].legend(fontsize="small")
+        axes.set_xscale("linear" if name == "mirror bounces" else "log")
+    grid[0][names.index("lights")].legend(fontsize="small")
+
+
+def _grown(axes, rows, scale):
+    """One panel: a line for each task."""
+    most = 0.0
+    for task in dict.fromkeys(row.task for row in rows):
+        x, y = _points(_all(rows, task=task))
+        y = [scale * value for value in y]
+        axes.plot(x, y, marker="o", markersize=3, label=task)
+        most = max(most, *y)
+    axes.set_ylim(0, 1.15 * most)
+    axes.tick_params(labelsize="small")
 
 
 def cold(figure, records):
