@@ -120,12 +120,14 @@ def test_floor_of_many_lights_is_that_of_few():
 
 
 def test_signatures_are_one_number_where_nothing_changes():
-    """The signature is constant over a wall in plain light, and another where there is none."""
+    """The signature is one number over the background and over the floor in plain light, and others in the shadow."""
     scene = scenes.lit(32, 1)
     signature = np.array(rays.Floor(scene, 32, 2).signature(32)).reshape(32, 32)
     # The background above, the floor below.
     assert len(np.unique(signature[0])) == 1 and len(np.unique(signature[-1])) == 1
     assert signature[0, 0] != signature[-1, 0]
+    # Four shapes, the background, and what lies in the shadow.
+    assert len(np.unique(signature[np.isfinite(signature)])) > 5
 
 
 # What is made of the records --------------------------------------------------------------------------

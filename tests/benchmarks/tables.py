@@ -50,8 +50,9 @@ def _matches(row, where) -> bool:
 
 
 def _shown(value) -> str:
-    """Counts in full, other numbers in three digits."""
-    return f"{value:.0f}" if value is not None and value == int(value) and abs(value) < 1e8 else number(value)
+    """Counts and large numbers in full, others in three digits."""
+    whole = value is not None and abs(value) < 1e8 and (abs(value) >= 100 or value == int(value))
+    return f"{value:.0f}" if whole else number(value)
 
 
 def _label(value) -> str:
