@@ -82,6 +82,7 @@ def _along(plan, name, axis):
     for x in values:
         found += [record("growth", name, task, "time", times[x][task], "s", x) for task in tasks]
         found.append(record("growth", name, "whitted", "operations", first[x].operations, "operations", x))
+        found.append(record("growth", name, "whitted", "kernels of the first picture", first[x].launches, "kernels", x))
         found.append(record("growth", name, "whitted", "compile time", first[x].compile_seconds, "s", x))
         arrays, process = memory[x]
         found.append(record("growth", name, "whitted", "memory of arrays", arrays, "bytes", x))

@@ -130,6 +130,7 @@ class Kernels:
     """The kernels that one task launched."""
 
     operations: int
+    """Of the largest: that of the picture. Others read constants."""
     launches: int
     compile_seconds: float
     """Code generation and the backend, LLVM or OptiX."""
@@ -144,7 +145,7 @@ def kernels(task: Callable) -> Kernels:
         seconds(task)
         found = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     return Kernels(
-        sum(k["operation_count"] for k in found),
+        max(k["operation_count"] for k in found),
         len(found),
         sum(k.get(name, 0) for k in found for name in ("codegen_time", "backend_time")) / 1000,
         sum(not k["cache_hit"] and not k["cache_disk"] for k in found),

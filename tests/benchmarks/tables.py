@@ -135,6 +135,7 @@ GROWTH_TABLES = (
             _of("ms", OURS, "time", MS),
             _of("floor ms", FLOOR, "time", MS),
             _of("operations", OURS, "operations"),
+            _of("first kernels", OURS, "kernels of the first picture"),
             _of("compile ms", OURS, "compile time", MS),
             _of("arrays MB", OURS, "memory of arrays", MB),
             _of("process MB", OURS, "memory of the process", MB),
