@@ -75,7 +75,8 @@ def records(plan: Plan):
 
 
 def _race(plan, name, scene, size, installed):
-    rounds = plan.of(5 if size <= 1024 else 3, 1)
+    # Large pictures take POV-Ray many seconds, and vary less; targets are about the lecture scene.
+    rounds = plan.of(5 if size <= 1024 else 3 if size <= 2048 or name == "lecture" else 1, 1)
     warm, cold = {"phong_bsdf": []}, {"phong_bsdf": []}
     with ExitStack() as stack:
         run = stack.enter_context(fresh_process(plan.variant))
@@ -83,7 +84,7 @@ def _race(plan, name, scene, size, installed):
         run(_load, peers.mitsuba_scene(scene, size, size))
         for _ in range(rounds):
             # Many short renderings for one long one of a peer: their median.
-            warm["phong_bsdf"].append(float(np.median([run(_render) for _ in range(5)])))
+            warm["phong_bsdf"].append(float(np.median([run(_render) for _ in range(5 if size <= 1024 else 3)])))
             cold["phong_bsdf"].append(command_line(plan, scene, size, folder))
             for program in installed:
                 result = PROGRAMS[program](scene, folder, size, size, dr.thread_count())
