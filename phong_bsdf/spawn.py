@@ -56,7 +56,8 @@ class Surfaces:
 
     def tolerance(self, si, active):
         """Bound on the distance between the hit `si` and the surface that ray tests see, in world units."""
-        size = dr.max(dr.abs(si.p)) + self.extent.at(si, active)
+        # The ray's length stands for the coordinates of its origin, which may be far from the surface.
+        size = dr.max(dr.abs(si.p)) + si.t + self.extent.at(si, active)
         if self.curvature.largest > 0:
             # A cylinder is intersected from where the ray starts: its error grows with the distance squared.
             size += dr.square(si.t) * self.curvature.at(si, active)
