@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from . import lobes
 from .parameters import Watch
+from .spawn import shape_numbers
 
 # Each BSDF that can describe itself has another, for as long as the process lives.
 SERIALS = itertools.count()
@@ -71,7 +71,7 @@ class Materials:
 
     def __init__(self, scene, materials: list[Material], keep=frozenset()):
         self.models = sorted({material.model for material in materials})
-        self.ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+        self.ids = shape_numbers(scene)
         self.gathers = "materials" in keep
         self.distinct = len(set(materials))
         self.several = self.distinct > 1 or self.gathers
@@ -90,16 +90,17 @@ class Materials:
     def _column(self, values, kind, keep=False):
         """Arrays over the shapes' numbers, one for each channel, or one number for all shapes each."""
         channels = max(map(len, values))
-        values = np.array([v if len(v) == channels else v * channels for v in values])
-        if not values.any() and not keep:
+        values = [v if len(v) == channels else v * channels for v in values]
+        if not keep and not any(map(any, values)):
             return None
-        if np.all(values == values[:, :1]):
-            values = values[:, :1]
-        if np.all(values == values[:1]) and not self.gathers:
-            return [dr.opaque(kind, float(x)) for x in values[0]]
-        table = np.zeros((int(self.ids.max()) + 1, values.shape[1]), values.dtype)
-        table[self.ids] = values
-        return [kind(np.ascontiguousarray(channel)) for channel in table.T]
+        if all(len(set(v)) == 1 for v in values):
+            values = [v[:1] for v in values]
+        if len(set(values)) == 1 and not self.gathers:
+            return [dr.opaque(kind, x) for x in values[0]]
+        table = [values[0]] * (max(self.ids) + 1)
+        for number, value in zip(self.ids, values, strict=True):
+            table[number] = value
+        return [kind(list(channel)) for channel in zip(*table, strict=True)]
 
     def at(self, si, active):
         """The constants of the material that was hit, for the other methods; None for what is 0 everywhere."""

@@ -8,7 +8,6 @@ that was hit and with its coordinates; so does the offset here.
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 # Rounding errors that a hit and the test of the ray that leaves it add up, in units of
 # 2^-24 (coordinates + size of the shape). A sphere's shadow test, r^2 - |o - c|^2 in
@@ -110,11 +109,18 @@ class Seen:
         positions = mi.traverse(shape)["vertex_positions"]
         key = positions.index if dr.is_jit_v(positions) else None
         if key is None or key not in before:
-            points = np.array(positions).reshape(-1, 3)
-            box = mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
+            box = _box_of(positions)
             before = {key: (box, dr.detach(positions))}
         self.of_meshes[key] = before[key]
         return before[key][0]
+
+
+def _box_of(positions):
+    # Slow to import, and needed here only.
+    import numpy as np
+
+    points = np.array(positions).reshape(-1, 3)
+    return mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
 
 
 class PerShape:
@@ -131,13 +137,14 @@ class PerShape:
         if self.uniform:
             return
         jit = dr.is_jit_v(mi.Float)
-        ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy() if jit else scene.shapes()
+        ids = shape_numbers(scene) if jit else scene.shapes()
         if jit and len(others) > self.FEW:
-            table = np.zeros(int(ids.max()) + 1, np.float32)
-            table[ids] = values
+            table = [0.0] * (max(ids) + 1)
+            for number, value in zip(ids, values, strict=True):
+                table[number] = value
             self.table = mi.Float(table)
         else:
-            self.exceptions = [(dr.opaque(mi.UInt32, int(ids[i])) if jit else ids[i], values[i]) for i in others]
+            self.exceptions = [(dr.opaque(mi.UInt32, ids[i]) if jit else ids[i], values[i]) for i in others]
 
     def at(self, si, active):
         """The number of the shape that was hit."""
@@ -175,6 +182,13 @@ class _Sphere:
         root = dr.sqrt(dr.maximum(dr.square(half_b) - f, 0))
         t = -f / (half_b + dr.mulsign(root, half_b))
         return dr.select(dr.isfinite(t), t, 0)
+
+
+def shape_numbers(scene) -> list[int]:
+    """In JIT variants the number of each shape of `scene`, by which kernels know it."""
+    numbers = dr.reinterpret_array(mi.UInt32, scene.shapes_dr())
+    # Without NumPy, which is slow to import; but while a function is recorded, no element can be read.
+    return numbers.numpy().tolist() if dr.flag(dr.JitFlag.FreezingScope) else list(numbers)
 
 
 def identity(shape):

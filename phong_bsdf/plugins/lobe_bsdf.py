@@ -5,7 +5,7 @@ import functools
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf import albedo, energy, lobes
+from phong_bsdf import energy, lobes
 from phong_bsdf.materials import SERIALS, Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
 
@@ -19,6 +19,9 @@ DEFAULTS = (0.5, 0.2, 30.0)
 @functools.cache
 def _albedo_table(lobe: str, reflectance: bool):
     """One for all BSDFs of a kind. This module is reloaded for each variant, and the cache with it."""
+    # Only integrators that sample need it, and NumPy with it.
+    from phong_bsdf import albedo
+
     return albedo.Table(lobe, reflectance, mi.Float)
 
 
@@ -37,9 +40,8 @@ class LobeBSDF(mi.BSDF):
         self.serial = next(SERIALS)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
         self.scale, self.scale_array = 1.0, mi.Float(1)
-        self.albedo = _albedo_table(self.NAME, self.reflectances)
-        # Here Dr.Jit finds it when it freezes a function; inside of a helper object it would not.
-        self.albedo_ratios = self.albedo.ratios
+        # Here Dr.Jit finds the table's array when it freezes a function; inside of a helper object it would not.
+        self.albedo_ratios = None
         self._find_components()
         self._apply_energy_rule()
         if self.scale != 1:
@@ -53,6 +55,13 @@ class LobeBSDF(mi.BSDF):
     def lobe(self):
         """The functions of this BSDF's lobe."""
         return lobes.LOBES[self.NAME]
+
+    @property
+    def albedo(self):
+        """The directional albedo of this BSDF's lobe."""
+        table = _albedo_table(self.NAME, self.reflectances)
+        self.albedo_ratios = table.ratios
+        return table
 
     def traverse(self, cb):
         for parameter in self.parameters:

@@ -80,5 +80,5 @@ def _compiling(plan, size):
 def _first(size, specialize):
     scene = scenes.lecture(size)
     integrator = scene.integrator()
-    integrator.specialize = specialize
+    integrator.keep = frozenset() if specialize else frozenset(FEATURES)
     return kernels(lambda: mi.render(scene))
