@@ -134,7 +134,7 @@ class Parameter:
             # Most constants are the array that holds them; to evaluate a thousand would launch a kernel for each.
             plain = self.texture.class_name() in PLAIN and len(self.arrays) == 1 and not mi.is_spectral
             value = self.arrays[0] if plain else self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))
-            self._constant = tuple(dr.ravel(value).numpy().tolist())
+            self._constant = tuple(channel[0] for channel in _channels(value))
         return self._constant
 
     def value(self, si, active):
