@@ -34,6 +34,13 @@ class Material:
     """0 where there is no `mirrorblend`."""
 
 
+def is_isotropic(scene) -> bool:
+    """Whether all BSDFs are this package's, which reflect alike whatever frame there is about the normal."""
+    shapes = scene.shapes()
+    own = all(getattr(shape.bsdf(), "serial", None) is not None for shape in shapes)
+    return own and not any(shape.class_name() == "Instance" for shape in shapes)
+
+
 class Table:
     """The constants of all shapes of the scene that was rendered last."""
 

@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from .dispatch import Dispatch
 from .lights import Dark, Lights
-from .materials import Table
+from .materials import Table, is_isotropic
 from .needs import DeltaLobes, check_lights, delta_lobes, prepared, wake
 from .spawn import Seen, Surfaces
 
@@ -76,6 +76,7 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
+        self.isotropic = is_isotropic(scene)
         self.table = None if gradients or "bsdf calls" in keep else memory.table.of(scene, keep)
         if self.table:
             mirror = self.table.km is not None
@@ -227,6 +228,10 @@ class Tracer:
             return light, seen, []
 
         si.p = self.surfaces.refine(si, ray)
+        if self.isotropic:
+            # Any frame about the normal serves: this one needs no derivatives of the surface.
+            si.sh_frame = mi.Frame3f(si.sh_frame.n)
+            si.wi = si.to_local(-ray.d)
         shaded = hit & (depth < self.most_hits)
         material = self.materials.at(si, shaded)
         tolerance = self.surfaces.tolerance(si, shaded)
