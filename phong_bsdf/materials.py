@@ -82,9 +82,11 @@ class Materials:
         self.gathers = "materials" in keep
         self.distinct = len(set(materials))
         self.several = self.distinct > 1 or self.gathers
-        self.model = self._column([(self.models.index(m.model),) for m in materials], mi.UInt32)
+        # What differs from shape to shape: a row of numbers for each, gathered in packets.
+        self.rows = [[] for _ in materials]
+        self.model = self._column([(self.models.index(m.model),) for m in materials])
         self.diffuse, self.specular, self.exponent, self.km = (
-            self._column([getattr(m, name) for m in materials], mi.Float, feature in keep)
+            self._column([getattr(m, name) for m in materials], feature in keep)
             for name, feature in zip(
                 ("diffuse", "specular", "exponent", "km"),
                 ("diffuse", "highlights", "highlights", "mirrors"),
@@ -92,10 +94,18 @@ class Materials:
             )
         )
         scales = [m.scale for m in materials]
-        self.scale = None if all(scale == (1.0,) for scale in scales) else self._column(scales, mi.Float)
+        self.scale = None if all(scale == (1.0,) for scale in scales) else self._column(scales)
+        # How many packets of four numbers a row is.
+        self.packets = -(-len(self.rows[0]) // 4)
+        if self.packets:
+            row_size = 4 * self.packets
+            table = [0.0] * (row_size * (max(self.ids) + 1))
+            for number, row in zip(self.ids, self.rows, strict=True):
+                table[row_size * number : row_size * number + len(row)] = row
+            self.table = mi.Float(table)
 
-    def _column(self, values, kind, keep=False):
-        """Arrays over the shapes' numbers, one for each channel, or one number for all shapes each."""
+    def _column(self, values, keep=False):
+        """For each channel: a number for all shapes, or its place in their rows; None where all are 0."""
         channels = max(map(len, values))
         values = [v if len(v) == channels else v * channels for v in values]
         if not keep and not any(map(any, values)):
@@ -103,20 +113,22 @@ class Materials:
         if all(len(set(v)) == 1 for v in values):
             values = [v[:1] for v in values]
         if len(set(values)) == 1 and not self.gathers:
-            return [dr.opaque(kind, x) for x in values[0]]
-        table = [values[0]] * (max(self.ids) + 1)
-        for number, value in zip(self.ids, values, strict=True):
-            table[number] = value
-        return [kind(list(channel)) for channel in zip(*table, strict=True)]
+            return [dr.opaque(mi.Float, x) for x in values[0]]
+        first = len(self.rows[0])
+        for row, value in zip(self.rows, values, strict=True):
+            row += value
+        return list(range(first, len(self.rows[0])))
 
     def at(self, si, active):
         """The constants of the material that was hit, for the other methods; None for what is 0 everywhere."""
-        index = dr.reinterpret_array(mi.UInt32, si.shape)
+        first = dr.reinterpret_array(mi.UInt32, si.shape) * self.packets
+        packets = [dr.gather(mi.Vector4f, self.table, first + i, active) for i in range(self.packets)]
+        row = [number for packet in packets for number in packet]
 
         def read(column):
             if column is None:
                 return None
-            channels = [x if dr.width(x) == 1 else dr.gather(type(x), x, index, active) for x in column]
+            channels = [row[x] if isinstance(x, int) else x for x in column]
             return channels[0] if len(channels) == 1 else mi.Color3f(*channels)
 
         names = ("model", "diffuse", "specular", "exponent", "km", "scale")
