@@ -183,7 +183,8 @@ def _phong_angle(wi, wo):
     cos, lost_too = _sum(c, -across)
     lost += dr.fma(wi.x, wo.x, -a) + dr.fma(wi.y, wo.y, -b)
     cos += lost_too + dr.fma(wi.z, wo.z, -c) - lost
-    return _squared_norm(v / dr.maximum(cos, TINY) for v in (x, y, z)), cos
+    inv_cos = 1 / dr.maximum(cos, TINY)
+    return _squared_norm(v * inv_cos for v in (x, y, z)), cos
 
 
 def _blinnphong_tan2(wi, wo):
