@@ -1,7 +1,8 @@
-"""What a surface reflects, from arrays, where all materials are this package's BSDFs with constants.
+"""What a surface reflects, from arrays, where all materials are this package's BSDFs.
 
 Through Mitsuba a kernel holds, and each hit dispatches to, every BSDF of the scene. Constants
 need none of that: they are gathered once for each hit, and the formulas stand in the loop.
+Textures are called once for each hit, too.
 The answers are those of `dispatch.py`, by the same operations in the same order.
 """
 
@@ -32,6 +33,8 @@ class Material:
     """The energy rule's factor."""
     km: tuple
     """0 where there is no `mirrorblend`."""
+    textures: tuple = ()
+    """(name of the field, `Parameter`) of those that vary; their place above holds 0."""
 
 
 def is_isotropic(scene) -> bool:
@@ -85,8 +88,12 @@ class Materials:
         # What differs from shape to shape: a row of numbers for each, gathered in packets.
         self.rows = [[] for _ in materials]
         self.model = self._column([(self.models.index(m.model),) for m in materials])
+        # The different sets of textures, and which of them a shape has; the first is none.
+        self.textures = list(dict.fromkeys([(), *(m.textures for m in materials)]))
+        self.varies = {name for textures in self.textures for name, _ in textures}
+        self.which = self._column([(self.textures.index(m.textures),) for m in materials])
         self.diffuse, self.specular, self.exponent, self.km = (
-            self._column([getattr(m, name) for m in materials], feature in keep)
+            self._column([getattr(m, name) for m in materials], feature in keep or name in self.varies)
             for name, feature in zip(
                 ("diffuse", "specular", "exponent", "km"),
                 ("diffuse", "highlights", "highlights", "mirrors"),
@@ -132,7 +139,23 @@ class Materials:
             return channels[0] if len(channels) == 1 else mi.Color3f(*channels)
 
         names = ("model", "diffuse", "specular", "exponent", "km", "scale")
-        return {name: read(getattr(self, name)) for name in names}
+        material = {name: read(getattr(self, name)) for name in names}
+        if self.varies:
+            constants = {name: _kind(name)(material[name]) for name in sorted(self.varies)}
+            calls = [self._look_up(textures) for textures in self.textures]
+            which = mi.UInt32(read(self.which))
+            material |= dr.switch(which, calls, constants, si, active)
+        return material
+
+    @staticmethod
+    def _look_up(textures):
+        """A function that fills in the values of these textures."""
+
+        def look_up(values, si, active):
+            found = {n: (p.value_1 if n == "exponent" else p.value)(si, active) for n, p in textures}
+            return {name: _kind(name)(found.get(name, value)) for name, value in values.items()}
+
+        return look_up
 
     def eval(self, material, si, wo, last, active):
         """Smooth lobes, f cos(theta_o) toward `wo`; on the lanes `last` (None: on none) without the mirror."""
@@ -186,3 +209,8 @@ class Materials:
             return 1
         left = 1 - material["km"]
         return left if last is None else dr.select(last, 1, left)
+
+
+def _kind(name):
+    """The type of a parameter's values, constant or not."""
+    return mi.Float if name == "exponent" else mi.UnpolarizedSpectrum

@@ -133,12 +133,14 @@ class LobeBSDF(mi.BSDF):
             self.parameters_changed([])
 
     def constants(self):
-        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""
-        values = [parameter.constant() for parameter in self.parameters]
+        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
+        values = [(0.0,) if parameter.varies else parameter.constant() for parameter in self.parameters]
         # Of a colour, only Mitsuba knows which number an exponent is.
-        if None in values or len(set(values[2])) > 1:
+        if None in values or len(set(values[2])) > 1 or any(parameter.differentiated for parameter in self.parameters):
             return None
-        return Material((self.NAME, self.reflectances), *values, scale=(self.scale,), km=(0.0,))
+        names = ("diffuse", "specular", "exponent")
+        textures = tuple((n, p) for n, p in zip(names, self.parameters, strict=True) if p.varies)
+        return Material((self.NAME, self.reflectances), *values, scale=(self.scale,), km=(0.0,), textures=textures)
 
     def arrays(self):
         """The arrays that hold the constants."""

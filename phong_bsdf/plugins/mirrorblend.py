@@ -152,11 +152,13 @@ class MirrorBlend(mi.BSDF):
             self.parameters_changed([])
 
     def constants(self):
-        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is no constant."""
+        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
         describe = getattr(self.nested, "constants", None)
-        nested, km = describe() if describe else None, self.km.constant()
+        nested, km = describe() if describe else None, (0.0,) if self.km.varies else self.km.constant()
         # One mirror over another is no single material.
-        return replace(nested, km=km) if nested and km and not any(nested.km) else None
+        if not nested or not km or self.km.differentiated or isinstance(self.nested, type(self)):
+            return None
+        return replace(nested, km=km, textures=nested.textures + (("km", self.km),) * self.km.varies)
 
     def arrays(self):
         """The arrays that hold the constants."""

@@ -15,6 +15,8 @@ from pathlib import Path
 import mitsuba as mi
 import peers
 
+from phong_bsdf.needs import FEATURES
+
 from . import scenes
 from .measure import Plan, compared, fresh_environment, fresh_process, kernels, record
 
