@@ -48,7 +48,7 @@ class Reference:
     @cached_property
     def own_error(self) -> dict[str, float | None]:
         """Its own expected error: of passes by their spread, of a grid at most its distance to the next coarser one."""
-        if self.kind == "file" or self.nonfinite:
+        if self.kind == "file" or self.nonfinite or (self.kind == "grid" and self.coarser is None):
             return dict.fromkeys(self.weights)
         if self.coarser is not None:
             square = (self.coarser - self.mean) ** 2
@@ -174,8 +174,8 @@ def failed(name: str, reference: str, reason: str) -> Result:
     return Result(name, reference, reason, (), (), None, None, None, None, "unknown")
 
 
-def equal_time(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[int, int], float]]) -> Table:
-    """relMSE that each method reaches in the same seconds. `seconds`: method -> (spp, repeat) -> seconds."""
+def equal_time(results: Sequence[Result]) -> Table:
+    """relMSE that each method reaches in the same seconds."""
     medians = {r.name: [level.seconds.median for level in r.levels if level.relmse] for r in results}
 
     def cell(result: Result, time: float) -> Cell | None:
@@ -189,7 +189,7 @@ def equal_time(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[in
 
 
 def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[int, int], float]]) -> Table:
-    """Seconds that each method needs for the same relMSE."""
+    """Seconds that each method needs for the same relMSE. `seconds`: method -> (spp, repeat) -> seconds."""
     found = [level.relmse.value for r in results for level in r.levels if level.relmse and level.relmse.value > 0]
 
     def cell(result: Result, error: float) -> Cell | None:
@@ -286,9 +286,9 @@ def _table(results: Sequence[Result], columns: Sequence[float], cell) -> Table:
 
 
 def _series(values: Sequence[float]) -> tuple[float, ...]:
-    """1 and 3 times the powers of ten between the smallest and the largest value."""
+    """1, 2 and 5 times the powers of ten between the smallest and the largest value."""
     if not values:
         return ()
     low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
-    steps = (float(f"{digit}e{power}") for power in range(low, high + 1) for digit in (1, 3))
+    steps = (float(f"{digit}e{power}") for power in range(low, high + 1) for digit in (1, 2, 5))
     return tuple(step for step in steps if min(values) <= step <= max(values))
