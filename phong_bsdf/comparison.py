@@ -157,9 +157,9 @@ def run(
     return Comparison(planned.path.name, next(integrators), tuple(rows), planned.replacements, planned.curves, images)
 
 
-def swapped(path: Path, state, found: Sequence[surfaces.Surface], plugin: str):
-    """The parsed scene with `plugin`, matched, in place of each surface in `found`."""
-    for surface in found:
+def swapped(path: Path, state, plugin: str):
+    """The parsed scene with `plugin`, matched, in place of each lobe BSDF; ValueError where one cannot be matched."""
+    for surface in surfaces.find(state, lambda root: rendering.make(path, root)):
         matched = matching.match(plugin, surface.lobe, _specular_albedo, {}, surface.is_textured("specular"))
         state = surfaces.replaced(state, surface, matched.plugin, matched.parameters)
     return state

@@ -209,6 +209,6 @@ def _rows(run: Run, method: MethodRun, result: study.Result, made: list[Pass]) -
 def _facts(run: ReferenceRun, reference: study.Reference | None) -> ReferenceFacts:
     if reference is None:
         return ReferenceFacts(run.name, run.kind, 0, 0, None, None, 0)
-    spp = {"file": None, "grid": run.levels[0] if run.levels else None}.get(run.kind, sum(run.levels[: reference.passes]))
-    own = reference.own_error
+    own, used = reference.own_error, run.levels[: reference.passes]
+    spp = sum(used) if used else None
     return ReferenceFacts(run.name, run.kind, reference.passes, spp, own["relmse"], own["mse"], reference.nonfinite)

@@ -1,4 +1,4 @@
-"""What independent passes say about an error: mean, variance and bias with confidence intervals, slopes, times to an error.
+"""What independent passes say about an error: its mean, variance and bias with confidence intervals, its slope.
 
 Plain arrays in, numbers out. All that is needed of pictures are their inner products, so the cost does not grow with
 what is asked. A pass is an independent sample of a method's picture; so are the passes of its reference.
@@ -33,6 +33,11 @@ def mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     """Mean of independent values, with Student's interval where there are two or more."""
     x = np.asarray(values, np.float64)
     return _estimate(float(x.mean()), _variance_of_mean(x), len(x) - 1, confidence)
+
+
+def geometric_mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
+    """Mean of the logarithms of positive values, for what varies by factors."""
+    return mean(np.log(values), confidence).map(math.exp)
 
 
 # Pictures --------------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from .estimates import Estimate
 from .passes import Store
 from .study import Spread
 
-LOBES = "lobes.json"
 EXPONENTS = (1.0, 1e2, 1e4, 1e6, 1e8)
 
 # Formula -> where a row of `stability` holds its error and its time.
@@ -41,7 +40,7 @@ class LobeError:
     p: float
     repeats: int
     error: Estimate
-    """Worst relative error, mean over the repeats; infinite where values overflow."""
+    """Worst relative error, geometric mean over the repeats; infinite where values overflow."""
     nanoseconds: Spread
     """Of one evaluation, on all threads."""
 
@@ -80,6 +79,7 @@ def measure(
     """Make the repeats that are not on disk yet, each a file of its own."""
     if not dr.is_jit_v(mi.Float):
         raise ValueError(f"converge: --lobes needs a JIT variant such as llvm_ad_rgb, got '{mi.variant()}'")
+    store.claim(passes.LOBES)
     machine = passes.machine(dr.thread_count())
     key = "lobes-" + passes.digest([mi.variant(), versions(), machine, cases, seed, EXPONENTS])
     run = LobeRun(key, cases, repeats, seed, mi.variant(), versions(), machine)
@@ -93,17 +93,17 @@ def measure(
                 on_progress=lambda share, r=repeat: on_progress("sweeping", (r + share) / repeats),
             )  # fmt: skip
             images.replace_file(path, json.dumps([dataclasses.asdict(row) for row in rows]) + "\n")
-    images.replace_file(store.folder / LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")
+    images.replace_file(store.folder / passes.LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")
 
 
 def is_measured(store: Store) -> bool:
     """Whether the folder holds formulas, not methods of rendering."""
-    return (store.folder / LOBES).is_file() and not (store.folder / passes.RUN).is_file()
+    return (store.folder / passes.LOBES).is_file()
 
 
 def read(store: Store) -> LobeErrors:
     """What is on disk."""
-    run = LobeRun(**json.loads((store.folder / LOBES).read_text(encoding="utf-8")))
+    run = LobeRun(**json.loads((store.folder / passes.LOBES).read_text(encoding="utf-8")))
     paths = [path for repeat in range(run.repeats) if (path := _path(store, run, repeat)).is_file()]
     sweeps = [[stability.Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))] for path in paths]
     return LobeErrors(run, len(sweeps), tuple(summarise(sweeps)))
@@ -119,7 +119,7 @@ def summarise(sweeps: Sequence[Sequence[stability.Row]]) -> list[LobeError]:
             if None in errors or None in times:
                 continue
             spread = Spread(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
-            mean = estimates.mean(errors) if np.isfinite(errors).all() else Estimate(float("inf"))
+            mean = estimates.geometric_mean(errors) if np.isfinite(errors).all() else Estimate(float("inf"))
             found.append(LobeError(rows[0].quantity, rows[0].lobe, formula, rows[0].p, len(rows), mean, spread))
     return found
 

@@ -52,7 +52,8 @@ class Scene:
     path: Path
     state: object
     integrator: str
-    lobes: tuple[surfaces.Surface, ...]
+    lobes: tuple[int, ...]
+    """Its `phong` and `blinnphong` nodes."""
     only_delta_lights: bool
     course: bool
     """Whether it is a `whitted` scene in the course convention, which no other integrator can render."""
@@ -69,7 +70,7 @@ def read(path: Path, defines: Mapping[str, str] | None = None) -> Scene:
     state = rendering.parse(path, defines, merge=False)
     props = _integrator(path, state).props
     emitters = [node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Emitter]
-    lobes = surfaces.find(state, lambda root: rendering.make(path, root))
+    lobes = (i for i, node in enumerate(state.nodes) if node.props.plugin_name() in surfaces.LOBES)
     integrator = props.plugin_name()
     course = integrator == WHITTED and props.get("convention", "course") == "course"
     return Scene(Path(path), state, integrator, tuple(lobes), all(e in needs.LIGHTS for e in emitters), course)
@@ -85,9 +86,16 @@ def defaults(scene: Scene) -> list[Method]:
     if scene.lobes:
         found += [Method(f"{base}-{sampling}", base, sampling=sampling) for sampling in SAMPLINGS[1:]]
     found += [Method(f"{base}-{sampler}", base, sampler=sampler) for sampler in SAMPLERS[1:]]
-    if scene.lobes:
-        found.append(Method(f"{base}-roughplastic", base, bsdf="roughplastic"))
-    return found
+    physical = Method(f"{base}-roughplastic", base, bsdf="roughplastic")
+    return [*found, physical] if scene.lobes and _can_be_applied(scene, physical) else found
+
+
+def _can_be_applied(scene: Scene, method: Method) -> bool:
+    try:
+        applied(scene, method)
+    except ValueError:
+        return False
+    return True
 
 
 def chosen(scene: Scene, given: Sequence[tuple[str, Mapping[str, object]]]) -> list[Method]:
@@ -164,10 +172,10 @@ def applied(scene: Scene, method: Method):
     """The parsed scene as `method` renders it, with equal nodes merged as Mitsuba does on loading."""
     state = mi.parser.ParserState(scene.state)
     if method.bsdf:
-        state = comparison.swapped(scene.path, state, scene.lobes, method.bsdf)
+        state = comparison.swapped(scene.path, state, method.bsdf)
     elif method.sampling != "mixture":
-        for surface in scene.lobes:
-            _change(state, surface.node, {"sampling": method.sampling})
+        for index in scene.lobes:
+            _change(state, index, {"sampling": method.sampling})
     _set_integrator(scene, state, method)
     for index, node in enumerate(list(state.nodes)):
         if node.type == mi.ObjectType.Sensor:
@@ -211,8 +219,7 @@ def _set_integrator(scene: Scene, state, method: Method) -> None:
 def _set_sampler(state, sensor: int, plugin: str) -> None:
     """Every method has its own sampler; how many samples it takes is said when it renders."""
     props = state.nodes[sensor].props
-    references = {key: props[key].index() for key in props.keys() if _is_node(props, key)}  # noqa: SIM118
-    found = [i for i in references.values() if state.nodes[i].type == mi.ObjectType.Sampler]
+    found = [i for i in children(props) if state.nodes[i].type == mi.ObjectType.Sampler]
     node = mi.parser.SceneNode(state.nodes[found[0] if found else sensor])
     node.type, node.props = mi.ObjectType.Sampler, mi.Properties(plugin)
     node.props["sample_count"] = 4
@@ -223,8 +230,10 @@ def _set_sampler(state, sensor: int, plugin: str) -> None:
         _change(state, sensor, {"sampler": mi.Properties.ResolvedReference(len(state.nodes) - 1)})
 
 
-def _is_node(props, key: str) -> bool:
-    return props.type(key) == mi.Properties.Type.ResolvedReference
+def children(props) -> list[int]:
+    """The nodes that a node refers to."""
+    kind = mi.Properties.Type.ResolvedReference
+    return [props[key].index() for key in props.keys() if props.type(key) == kind]  # noqa: SIM118
 
 
 def _change(state, index: int, parameters: Mapping[str, object]) -> None:

@@ -18,7 +18,8 @@ import numpy as np
 
 from . import images
 
-RUN = "run.json"
+# What a folder holds: a run of methods, or one of the lobes' formulas.
+RUN, LOBES = "run.json", "lobes.json"
 RECORD = "pass"
 FAILURE = "failure.txt"
 
@@ -59,6 +60,13 @@ class Store:
                 leftover.unlink()
             yield self
 
+    def claim(self, kind: str) -> None:
+        """ValueError where the folder holds what is not of this kind, `RUN` or `LOBES`."""
+        other = LOBES if kind == RUN else RUN
+        if (self.folder / other).exists():
+            held = "the lobes' formulas" if other == LOBES else "a scene"
+            raise ValueError(f"'{self.folder}' holds measurements of {held} already; choose another folder")
+
     def has(self, key: str, spp: int, repeat: int) -> bool:
         """Whether the pass has been made."""
         return self._path(key, spp, repeat).is_file()
@@ -71,8 +79,7 @@ class Store:
 
     def list(self, key: str) -> list[Pass]:
         """The records of all passes of a key, by samples, then repeats."""
-        paths = sorted((self.passes / key).glob("*-spp-repeat-*.exr"))
-        return [Pass(**json.loads(images.read_metadata(path)[RECORD])) for path in paths]
+        return [self._read(path) for path in sorted((self.passes / key).glob("*-spp-repeat-*.exr"))]
 
     def image(self, key: str, made: Pass) -> np.ndarray:
         """The picture of a pass, float32."""
@@ -91,6 +98,13 @@ class Store:
             return
         path.parent.mkdir(exist_ok=True)
         images.replace_file(path, reason + "\n")
+
+    @staticmethod
+    def _read(path: Path) -> Pass:
+        try:
+            return Pass(**json.loads(images.read_metadata(path)[RECORD]))
+        except (RuntimeError, KeyError, TypeError, ValueError):
+            raise ValueError(f"'{path}' is no pass that this version wrote; delete it") from None
 
     def _path(self, key: str, spp: int, repeat: int) -> Path:
         return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"

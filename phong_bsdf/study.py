@@ -26,6 +26,10 @@ FALLING = 0.25
 # Between two passes of a method without noise: only what float32 adds in another order.
 NOISELESS = 1e-6
 
+# Levels cheaper than so many times the cheapest say nothing about how error and time go together: they measure what any
+# rendering costs.
+GROWING = 2.0
+
 # Columns of the tables of equal time and equal error, at most.
 COLUMNS = 6
 
@@ -33,7 +37,8 @@ COLUMNS = 6
 class Reference:
     """What methods are measured against: passes of its own, or one picture that counts as exact."""
 
-    def __init__(self, name: str, images: Sequence[np.ndarray], coarser: np.ndarray | None = None, kind: str = "passes"):
+    def __init__(self, name: str, images: Sequence[np.ndarray], coarser=None, kind: str = "passes"):
+        """`kind`: `passes`, `grid` (`coarser`: the picture of half as many samples across) or `file`."""
         self.name, self.kind, self.passes = name, kind, len(images)
         self.images = [np.asarray(image, np.float64) for image in images]
         self.mean = sum(self.images) / len(self.images)
@@ -113,7 +118,7 @@ class Result:
     levels: tuple[Level, ...]
     passes: tuple[PassErrors, ...]
     slope: Estimate | None
-    """Of log relMSE against log seconds."""
+    """Of log relMSE against log seconds, where these grow with the samples."""
     slope_spp: Estimate | None
     """The same against samples."""
     bias: Estimate | None
@@ -155,13 +160,14 @@ def analyse(
         level, errors, products[spp] = _level(spp, chosen, reference, flip or {})
         levels.append(level)
         each += errors
-    seconds = {(made.spp, made.repeat): made.seconds for made, _ in passes}
+    medians = {level.spp: level.seconds.median for level in levels}
+    growing = [e for e in each if medians[e.spp] >= GROWING * min(medians.values())]
     finest = next((n for n in reversed(levels) if n.bias is not None), None)
     verdict = _verdict(levels, products, reference)
     noisy = finest is not None and not _noiseless(finest)
     return Result(
         name, reference.name, None, tuple(levels), tuple(each),
-        slope=_slope(each, lambda e: seconds[e.spp, e.repeat]), slope_spp=_slope(each, lambda e: float(e.spp)),
+        slope=_slope(growing, lambda e: medians[e.spp]), slope_spp=_slope(each, lambda e: float(e.spp)),
         bias=finest and finest.bias,
         efficiency=finest.variance.map(lambda v: math.inf if v <= 0 else 1 / (v * finest.seconds.median))
         if noisy and finest.variance.low and finest.variance.low > 0 else None,
@@ -214,9 +220,10 @@ def _level(spp: int, chosen, reference: Reference, flip) -> tuple[Level, list[Pa
     products = {name: estimates.products(pictures, reference.images, w) for name, w in reference.weights.items()}
     squared = {name: estimates.errors(p) for name, p in products.items()}
     largest = [float(np.abs(image - reference.mean).max()) for image in pictures]
+    numbers = zip(squared["relmse"], squared["mse"], largest, strict=True)
     each = [
-        PassErrors(spp, made.repeat, squared["relmse"][i], squared["mse"][i], largest[i], flip.get((spp, made.repeat)), 0)
-        for i, (made, _) in enumerate(chosen)
+        PassErrors(spp, made.repeat, *errors, flip.get((spp, made.repeat)), 0)
+        for (made, _), errors in zip(chosen, numbers, strict=True)
     ]
     flips = [e.flip for e in each if e.flip is not None]
     p = products["relmse"]
@@ -272,7 +279,7 @@ def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
     """The mean of logarithms, where every repeat has a value."""
     if not found or None in found:
         return None
-    return Cell(estimates.mean(np.log(found)).map(math.exp), at_most)
+    return Cell(estimates.geometric_mean(found), at_most)
 
 
 def _table(results: Sequence[Result], columns: Sequence[float], cell) -> Table:

@@ -22,16 +22,22 @@ from .session import errors, progress, start
               help="Samples per pixel to measure at.")  # fmt: skip
 @click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True,
               help="Independent passes for each method and number of samples.")  # fmt: skip
-@click.option("--time-budget", type=click.FloatRange(min=0, min_open=True),
-              help="Seconds to render: half for the references, half for the passes. The same command again goes on.")
-@click.option("--reference", type=click.Path(path_type=Path),
-              help="EXR file to measure all methods against. Default: what each method converges to.")
+@click.option(
+    "--time-budget",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Seconds to render: half for the references, half for the passes. The same command again goes on.",
+)
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path),
+    help="EXR file to measure all methods against. Default: what each method converges to.",
+)
 @click.option("--from", "drawn", type=click.Path(path_type=Path),
               help="Draw again what is in this folder, without rendering.")  # fmt: skip
 @click.option("--lobes", is_flag=True, help="Instead of a scene: the formulas of the lobes, beside naive ones.")
 @renderer_options
-def converge(scene, folder, given, levels, repeats, time_budget, reference, drawn, lobes, variant, defines, size, camera,
-             seed, threads, verbose):  # fmt: skip
+def converge(scene, folder, given, levels, repeats, time_budget, reference, drawn, lobes, variant, defines, size,
+             camera, seed, threads, verbose):  # fmt: skip
     """Measure the error of rendering methods against their time, on a SCENE of yours. Exit 1: a method failed."""
     with errors():
         from .. import passes
@@ -72,11 +78,11 @@ def _check_arguments(scene, folder, drawn, lobes) -> None:
 
 
 def _measure(store, planned, time_budget, show) -> bool:
-    from .. import convergence
+    from .. import convergence, measuring
 
     with store.opened():
         convergence.write_run(store, planned.run)
-        convergence.measure(planned, store, time_budget=time_budget or float("inf"), on_progress=show)
+        measuring.measure(planned, store, time_budget=time_budget or float("inf"), on_progress=show)
         return _draw(store, show)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..lobe_errors import FORMULAS, LobeError, LobeErrors
+from ..lobe_errors import LobeError, LobeErrors
 from . import page, tables
 from .study import Cell, Curve, Plot, Point, Table, drawn, estimate, interval, legend, number
 
@@ -34,15 +34,15 @@ def write(folder: Path, found: LobeErrors) -> Path:
         folder / PAGE,
         "study.html",
         title="Formulas of the lobes: error against time",
-        summary=f"{run.variant}, {run.cases} inputs, {found.made} repeats, seed {run.seed}; measured with {run.versions} on "
-        f"{run.machine}",
+        summary=f"{run.variant}, {run.cases} inputs, {found.made} repeats, seed {run.seed}; "
+        f"measured with {run.versions} on {run.machine}",
         context=tables.context(),
         brief=brief(found.rows),
         warnings=[f"{run.repeats - found.made} repeats are missing."] if found.made < run.repeats else [],
         chart={
             "title": "Error against time", "label": "Quantity", "plots": drawn(plots), "curves": legend(plots),
-            "note": "A point for each exponent. Bars: quartiles of the time; 95 % confidence of the worst error, from repeats with "
-            f"other inputs. Errors above {WORST_DRAWN:g} are drawn there.",
+            "note": "A point for each exponent. Bars: quartiles of the time; 95 % confidence of the worst error, "
+            f"from repeats with other inputs. Errors above {WORST_DRAWN:g} are drawn there.",
         },
         viewer=None,
         gallery=None,
@@ -53,27 +53,30 @@ def write(folder: Path, found: LobeErrors) -> Path:
 
 def brief(rows: Sequence[LobeError]) -> list[str]:
     """For each lobe: what the stable value costs, and what it buys, at the largest exponent."""
-    said = []
+    largest, said = max(row.p for row in rows), []
     for lobe in dict.fromkeys(row.lobe for row in rows):
-        values = {row.formula: row for row in rows if row.lobe == lobe and row.quantity == "value"
-                  and row.p == max(r.p for r in rows)}  # fmt: skip
-        stable = values["stable"]
+        values = {r.formula: r for r in rows if (r.lobe, r.quantity, r.p) == (lobe, "value", largest)}
+        stable = values.pop("stable")
         for formula, other in values.items():
-            if formula != "stable":
-                ratio = stable.nanoseconds.median / other.nanoseconds.median
-                said.append(f"{lobe}, p = {stable.p:g}: the stable value is off by {tables.number(stable.error.value)} at worst, "
-                            f"the {formula} one by {tables.number(other.error.value)}; it takes {ratio:.2f} times as long.")  # fmt: skip
+            errors = [tables.number(row.error.value) for row in (stable, other)]
+            ratio = stable.nanoseconds.median / other.nanoseconds.median
+            said.append(
+                f"{lobe}, p = {largest:g}: the stable value is off by {errors[0]} at worst, the {formula} one by "
+                f"{errors[1]}; it takes {ratio:.2f} times as long."
+            )
     return said
 
 
 def _plots(rows: Sequence[LobeError]) -> list[Plot]:
     # The same curves in each plot, so that a colour means one thing.
-    names = list(dict.fromkeys((row.lobe, row.formula) for row in rows if row.formula in FORMULAS))
-    return [
-        Plot(quantity, f"worst relative error of the {words}", "nanoseconds per evaluation",
-             [Curve(f"{lobe}, {formula}", _points(rows, quantity, lobe, formula), joined=False) for lobe, formula in names])
-        for quantity, words in QUANTITIES.items()
-    ]  # fmt: skip
+    names = list(dict.fromkeys((row.lobe, row.formula) for row in rows))
+    plots = []
+    for quantity, words in QUANTITIES.items():
+        curves = [
+            Curve(f"{lobe}, {formula}", _points(rows, quantity, lobe, formula), joined=False) for lobe, formula in names
+        ]
+        plots.append(Plot(quantity, f"worst relative error of the {words}", "nanoseconds per evaluation", curves))
+    return plots
 
 
 def _points(rows: Sequence[LobeError], quantity: str, lobe: str, formula: str) -> list[Point]:
@@ -82,7 +85,8 @@ def _points(rows: Sequence[LobeError], quantity: str, lobe: str, formula: str) -
         Point(
             row.nanoseconds.median, row.nanoseconds.low, row.nanoseconds.high,
             row.error.map(lambda e: min(max(e, 1e-9), WORST_DRAWN)),
-            f"{lobe}, {formula}, p = {row.p:g}: {tables.number(row.nanoseconds.median)} ns, error {interval(row.error)}",
+            f"{lobe}, {formula}, p = {row.p:g}: {tables.number(row.nanoseconds.median)} ns, "
+            f"error {interval(row.error)}",
         )
         for row in chosen
     ]  # fmt: skip

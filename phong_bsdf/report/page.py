@@ -60,7 +60,8 @@ def viewer(
     return {
         "pictures": [
             {
-                "name": name, "against": names.index(bases[name]), "height": image.shape[0], "width": image.shape[1], "channels": image.shape[2],
+                "name": name, "against": names.index(bases[name]),
+                "height": image.shape[0], "width": image.shape[1], "channels": image.shape[2],
                 "data": _base64(zlib.compress((image / scale).astype("<f2").tobytes(), 9)),
             }
             for name, image in pictures.items()

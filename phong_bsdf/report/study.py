@@ -1,4 +1,4 @@
-"""The page for errors against time, whatever was measured: one plot to choose from several, pictures, tables that sort."""
+"""What pages of error against time are made of, whatever was measured: plots of curves, tables that sort."""
 
 import re
 from collections.abc import Sequence
@@ -108,17 +108,22 @@ def drawn(plots: Sequence[Plot]) -> list[dict[str, object]]:
 def _svg(plot: Plot):
     from markupsafe import Markup
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=SIZE, layout="constrained")
     axes = figure.add_subplot(xscale="log", yscale="log")
     titles = {}
     for i, curve in enumerate(plot.curves):
         _curve(axes, plot, i, curve, titles)
-    for name, error in plot.floors:
+    for i, (name, error) in enumerate(plot.floors):
         axes.axhline(error, color=page.INK, linewidth=0.7, linestyle=":")
-        axes.annotate(name, (0.005, error), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
+        # Side by side: several can be at the same height.
+        axes.annotate(name, (0.005 + 0.3 * i, error), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
     axes.set(xlabel=plot.x_label, ylabel=plot.name)
     axes.grid(which="major")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     svg = page.svg(figure, f"{plot.name} against {plot.x_label}, double logarithmic; the tables hold the numbers")
