@@ -134,7 +134,8 @@ def _reference(store: Store, reference: ReferenceRun) -> study.Reference | None:
     """None where nothing of it is there."""
     if reference.kind == "file":
         return study.Reference(reference.name, [metrics.colors(images.read_exr(reference.file))], kind="file")
-    made = sorted(store.list(reference.key), key=lambda p: p.repeat)
+    # Earlier runs may have made passes for other levels.
+    made = [p for p in store.list(reference.key) if p.spp in reference.levels]
     if reference.kind == "grid":
         pictures = {p.spp: store.image(reference.key, p) for p in made}
         fine, coarse = (pictures.get(spp) for spp in reference.levels)

@@ -20,6 +20,8 @@ REFERENCE_PASSES = 16
 REFERENCE_SPP = 2
 # The reference of a grid: so many times as many samples across. A power of two, so that no sample is on a coarser grid.
 REFERENCE_GRID = 4
+# Of methods without a grid, as if they had one of so many samples.
+LEAST_GRID = 16
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,6 @@ class Run:
     references: tuple[ReferenceRun, ...]
     versions: str
     machine: str
-    reference_file: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def plan(
     scene_hash = _scene_hash(scene)
     machine = passes.machine(dr.thread_count())
     context = [scene_hash, camera, size, mi.variant(), seed, versions()]
-    states, runs, references = {}, [], {}
+    states, runs, limits, finest = {}, [], {}, {}
 
     def key(method: methods.Method, *more) -> str:
         made = f"{method.name}-{passes.digest([*context, method.spec(), *more])}"
@@ -110,16 +111,20 @@ def plan(
 
     for method in methods.chosen(scene, given):
         limit = methods.limit(scene, method)
-        name = limit.name
-        if reference is not None:
-            name = Path(reference).name
-            references[name] = ReferenceRun(name, passes.digest(_file_hash(reference)), "file", (), str(reference))
-        elif name not in references:
-            references[name] = _reference(limit, methods.integrator_of(scene, limit), levels, key(limit, "reference"))
-        real = tuple(dict.fromkeys(_rounded(method, methods.integrator_of(scene, method), n) for n in sorted(levels)))
+        real = _rounded(scene, method, method.levels or levels)
+        limits[limit.name] = limit
+        finest.setdefault(limit.name, {})[methods.integrator_of(scene, method) == methods.WHITTED] = max(real)
+        name = limit.name if reference is None else Path(reference).name
         runs.append(MethodRun(method.name, method.spec(), key(method, machine), name, real))
+    if reference is not None:
+        file = ReferenceRun(
+            Path(reference).name, _file_hash(reference)[:12], "file", (), str(Path(reference).resolve())
+        )
+        references = [file]
+    else:
+        references = [_reference(scene, limit, finest[name], key(limit, "reference")) for name, limit in limits.items()]
     run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
-              tuple(runs), tuple(references.values()), versions(), machine, str(reference or ""))  # fmt: skip
+              tuple(runs), tuple(references), versions(), machine)  # fmt: skip
     return Plan(Path(path), states, size, run)
 
 
@@ -128,23 +133,31 @@ def versions() -> str:
     return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}"
 
 
-def _reference(limit: methods.Method, integrator: str, levels: Sequence[int], key: str) -> ReferenceRun:
-    if integrator == methods.WHITTED:
-        across = 2 ** math.ceil(math.log2(REFERENCE_GRID * math.sqrt(max(levels))))
+def reference_grid(spp: int) -> int:
+    """Samples across of the grid that methods with up to `spp` samples are measured against."""
+    return 2 ** math.ceil(math.log2(REFERENCE_GRID * math.sqrt(spp)))
+
+
+def _reference(scene: methods.Scene, limit: methods.Method, finest: Mapping[bool, int], key: str) -> ReferenceRun:
+    """`finest`: whether it is of a grid -> most samples of the methods with this limit."""
+    if methods.integrator_of(scene, limit) == methods.WHITTED:
+        across = reference_grid(finest.get(True, LEAST_GRID))
         return ReferenceRun(limit.name, key, "grid", (across**2, (across // 2) ** 2))
-    return ReferenceRun(limit.name, key, "passes", (REFERENCE_SPP * max(levels),) * REFERENCE_PASSES)
+    return ReferenceRun(limit.name, key, "passes", (REFERENCE_SPP * max(finest.values()),) * REFERENCE_PASSES)
 
 
-def _rounded(method: methods.Method, integrator: str, spp: int) -> int:
-    """The number of samples that the method takes when asked for `spp`."""
-    if integrator == methods.WHITTED and math.isqrt(spp) ** 2 == spp:
-        return spp
+def _rounded(scene: methods.Scene, method: methods.Method, levels: Sequence[int]) -> tuple[int, ...]:
+    """The numbers of samples that the method takes when asked for `levels`."""
+    grid = methods.integrator_of(scene, method) == methods.WHITTED
     before = mi.log_level()
     mi.set_log_level(mi.LogLevel.Error)
     try:
         sampler = mi.load_dict({"type": method.sampler})
-        sampler.set_sample_count(spp)
-        return int(sampler.sample_count())
+        real = []
+        for spp in sorted(levels):
+            sampler.set_sample_count(spp)
+            real.append(spp if grid and math.isqrt(spp) ** 2 == spp else int(sampler.sample_count()))
+        return tuple(dict.fromkeys(real))
     finally:
         mi.set_log_level(before)
 
@@ -163,6 +176,7 @@ def _scene_hash(scene: methods.Scene) -> str:
 
 
 def _file_hash(path: Path) -> str:
+    """All 64 digits."""
     try:
         return passes.digest(Path(path).read_bytes().hex(), 64)
     except OSError as error:

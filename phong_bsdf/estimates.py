@@ -140,9 +140,10 @@ def _variance_of_mean(x: np.ndarray) -> float:
 def _estimate(value: float, variance_of_value: float, freedom: float, confidence: float) -> Estimate:
     if freedom < 1 or not math.isfinite(variance_of_value):
         return Estimate(value)
-    from scipy.stats import t
+    # Not scipy.stats, which takes a second to import.
+    from scipy.special import stdtrit
 
-    half = float(t.ppf((1 + confidence) / 2, freedom)) * math.sqrt(variance_of_value)
+    half = float(stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(variance_of_value)
     return Estimate(value, value - half, value + half)
 
 
@@ -166,11 +167,9 @@ def error_at(times: Sequence[float], errors: Sequence[float], time: float) -> fl
 
 
 def time_to(times: Sequence[float], errors: Sequence[float], error: float) -> float | None:
-    """The first time at which the error is no larger, in the same way; None where it never is, or is from the start."""
+    """The first time at which the error is no larger, in the same way, or the first measured; None where it never is."""
     x, y = _logs(times, errors)
     wanted = math.log(error)
-    if not len(x) or y[0] < wanted:
-        return None
     for i in range(len(x)):
         if y[i] <= wanted:
             return float(np.exp(x[i] if i == 0 else np.interp(wanted, [y[i], y[i - 1]], [x[i], x[i - 1]])))

@@ -40,9 +40,12 @@ class Method:
     reference: str = "scene"
     """`scene`: what the scene file describes, as far as the method can mean that; `own`: its own limit."""
 
+    levels: tuple[int, ...] = ()
+    """Samples per pixel to measure at; empty: as all methods."""
+
     def spec(self) -> dict[str, object]:
-        """All but the name."""
-        return {name: value for name, value in vars(self).items() if name != "name"}
+        """All that its pictures depend on."""
+        return {name: value for name, value in vars(self).items() if name not in ("name", "levels")}
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,9 @@ def _method(scene: Scene, known: Mapping[str, Method], name: str, spec: Mapping[
                              f"specify it: --method {name}=integrator=path,sampler=stratified")  # fmt: skip
         return known[name]
     own = {key: spec[key] for key in ("integrator", "sampler", "sampling", "bsdf", "reference") if key in spec}
-    method = Method(name, **own, parameters={key: value for key, value in spec.items() if key not in own})
+    parameters = {key: value for key, value in spec.items() if key not in (*own, "spp")}
+    # A new specification under a known name changes that method.
+    method = replace(known.get(name, Method(name)), **own, parameters=parameters, levels=_levels(name, spec))
     allowed = {"sampling": SAMPLINGS, "reference": REFERENCES, "bsdf": ("", *matching.TARGETS)}
     for key, values in allowed.items():
         if getattr(method, key) not in values:
@@ -133,6 +138,14 @@ def _method(scene: Scene, known: Mapping[str, Method], name: str, spec: Mapping[
     return method
 
 
+def _levels(name: str, spec: Mapping[str, object]) -> tuple[int, ...]:
+    """`spp`, as numbers with spaces between them."""
+    texts = str(spec.get("spp", "")).split()
+    if not all(text.isdigit() and int(text) > 0 for text in texts):
+        raise ValueError(f"converge: method '{name}': 'spp' must be numbers of samples, 1 4 16, got '{spec['spp']}'")
+    return tuple(sorted({int(text) for text in texts}))
+
+
 def _check(scene: Scene, method: Method) -> None:
     """ValueError where the integrator or the sampler does not exist or does not take its parameters."""
     state = applied(scene, replace(method, bsdf="", sampling="mixture"))
@@ -140,11 +153,9 @@ def _check(scene: Scene, method: Method) -> None:
         alone = mi.parser.ParserState(state)
         alone.nodes[0] = next(node for node in state.nodes if node.type == kind)
         try:
-            made = rendering.make(scene.path, alone)
+            rendering.make(scene.path, alone)
         except ValueError as error:
             raise ValueError(f"converge: method '{method.name}': {error}") from None
-        if not isinstance(made, mi.Integrator if kind == mi.ObjectType.Integrator else mi.Sampler):
-            raise ValueError(f"converge: method '{method.name}': '{made.class_name()}' is no {kind.name.lower()}")
 
 
 def integrator_of(scene: Scene, method: Method) -> str:

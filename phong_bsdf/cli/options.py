@@ -76,11 +76,13 @@ class MethodSpec(click.ParamType):
         pairs = [assignment.partition("=") for assignment in rest.split(",")] if rest else []
         if not name or not all(key.strip() and equals and text.strip() for key, equals, text in pairs):
             self.fail(f"'{value}' should be a name, or name=key=value,key=value", param, ctx)
-        return name.strip(), {key.strip(): self.parameter(text.strip()) for key, _, text in pairs}
+        return name.strip(), {key.strip(): self.parameter(key.strip(), text.strip()) for key, _, text in pairs}
 
     @staticmethod
-    def parameter(text: str):
-        """A whole number, or what it is for a BSDF."""
+    def parameter(key: str, text: str):
+        """A whole number, or what it is for a BSDF; of `spp` the text."""
+        if key == "spp":
+            return text
         return int(text) if text.lstrip("+-").isdigit() else Bsdf.parameter(text)
 
 

@@ -11,7 +11,7 @@ from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
 from .convergence_tables import NAMES, all_tables, failure, finest_level, verdict
-from .study import Curve, Plot, Point, drawn, interval, legend
+from .study import Curve, Plot, Point, drawn, interval, legend, write_svg
 
 PAGE = "index.html"
 
@@ -77,15 +77,16 @@ def write(folder: Path, found: Conclusions, pictures: Mapping[str, np.ndarray]) 
         equal_time=found.equal_time, equal_error=found.equal_error, pictures=found.shown,
         relmse_epsilon=EPSILON, flip_exposures=FLIP_EXPOSURES,
     )  # fmt: skip
-    _write_page(folder / PAGE, found, pictures)
+    plots = _plots(found)
+    write_svg(folder / f"{plots[0].id}.svg", plots[0])
+    _write_page(folder / PAGE, found, pictures, plots)
     return folder / PAGE
 
 
-def _write_page(path: Path, found: Conclusions, pictures: Mapping[str, np.ndarray]) -> None:
+def _write_page(path: Path, found: Conclusions, pictures: Mapping[str, np.ndarray], plots: list[Plot]) -> None:
     run, against = found.run, conclusions.against(found.run)
     scale = _map_scale(pictures, against)
     size = next((f"{image.shape[1]} × {image.shape[0]}, " for image in pictures.values()), "")
-    plots = _plots(found)
     page.write(
         path,
         "study.html",

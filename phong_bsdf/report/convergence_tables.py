@@ -22,6 +22,17 @@ def all_tables(found: Conclusions) -> list[Table]:
     return [_methods(found), _equal_time(found), _equal_error(found), _levels(found), _references(found)]
 
 
+def equal_time_text(found: Conclusions) -> str:
+    """relMSE at equal time, one line for each method."""
+    headings = ("method", *(f"{tables.number(t)} s" for t in found.equal_time.columns), "bias")
+    verdicts = {result.name: verdict(result) for result in found.results}
+    lines = [
+        (name, *(tables.number(cell and cell.estimate.value) for cell in cells), verdicts[name])
+        for name, cells in found.equal_time.rows.items()
+    ]
+    return tables.text_table(headings, lines)
+
+
 def verdict(result: study.Result) -> str:
     """Whether, and where, the error levels off."""
     finest = finest_level(result)

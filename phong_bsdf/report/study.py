@@ -1,11 +1,14 @@
 """What pages of error against time are made of, whatever was measured: plots of curves, tables that sort."""
 
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 
 from ..estimates import Estimate
+from ..images import replace_file
 from . import page, tables
 
 # Told apart with any kind of colour vision, on white and on black; then again, dashed.
@@ -14,6 +17,8 @@ MARKERS = "osD^vPX*"
 
 # Inches; the height of two lines of text is about that of the page's text on a wide screen.
 SIZE = (9.0, 4.6)
+# Left, bottom, width and height of the axes, in shares of that.
+AREA = (0.08, 0.1, 0.91, 0.87)
 
 # What is drawn of an interval that reaches down to 0 or below.
 LOWEST_SHARE = 0.03
@@ -102,36 +107,57 @@ def drawn(plots: Sequence[Plot]) -> list[dict[str, object]]:
     import matplotlib
 
     with matplotlib.rc_context(page.ink_style()):
-        return [{"id": plot.id, "name": plot.name, "svg": _svg(plot)} for plot in plots]
+        return [{"id": plot.id, "name": plot.name, "svg": _inline(plot)} for plot in plots]
 
 
-def _svg(plot: Plot):
+def write_svg(path: Path, plot: Plot) -> None:
+    """The plot as a file, with its legend."""
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 8, "svg.hashsalt": "phong_bsdf"}):
+        figure, _ = _figure(plot, ink="black")
+        figure.axes[0].legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+        figure.axes[0].set_position((AREA[0], AREA[1], 0.74, AREA[3]))
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    replace_file(path, text.getvalue())
+
+
+def _inline(plot: Plot):
     from markupsafe import Markup
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure = Figure(figsize=SIZE, layout="constrained")
-    axes = figure.add_subplot(xscale="log", yscale="log")
-    titles = {}
-    for i, curve in enumerate(plot.curves):
-        _curve(axes, plot, i, curve, titles)
-    for i, (name, error) in enumerate(plot.floors):
-        axes.axhline(error, color=page.INK, linewidth=0.7, linestyle=":")
-        # Side by side: several can be at the same height.
-        axes.annotate(name, (0.005 + 0.3 * i, error), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
-    axes.set(xlabel=plot.x_label, ylabel=plot.name)
-    axes.grid(which="major")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    figure, titles = _figure(plot, ink=page.INK)
     svg = page.svg(figure, f"{plot.name} against {plot.x_label}, double logarithmic; the tables hold the numbers")
     for identifier, words in titles.items():
         svg = re.sub(rf'(<g id="{identifier}">)', lambda m, w=words: f"{m[1]}<title>{escape(w)}</title>", svg, count=1)
     # matplotlib's other names are the same in every drawing of a page.
-    svg = re.sub(r'<g id="(?!point-|line-|bars-|floor-)[^"]*">', "<g>", svg)
-    return Markup(svg)
+    return Markup(re.sub(r'<g id="(?!point-|line-|bars-|floor-)[^"]*">', "<g>", svg))
+
+
+def _figure(plot: Plot, ink: str):
+    """The drawing, and what is said about its points: identifier -> words."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    figure = Figure(figsize=SIZE)
+    # Laying the figure out by its text would take longer than all the rest.
+    axes = figure.add_axes(AREA, xscale="log", yscale="log")
+    titles = {}
+    for i, curve in enumerate(plot.curves):
+        _curve(axes, plot, i, curve, titles)
+    for i, (name, error) in enumerate(plot.floors):
+        axes.axhline(error, color=ink, linewidth=0.7, linestyle=":")
+        # Side by side: several can be at the same height.
+        axes.annotate(name, (0.005 + 0.3 * i, error), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
+    axes.set(xlabel=plot.x_label, ylabel=plot.name)
+    axes.grid(which="major", alpha=0.35)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return figure, titles
 
 
 def _curve(axes, plot: Plot, i: int, curve: Curve, titles: dict[str, str]) -> None:
@@ -139,8 +165,8 @@ def _curve(axes, plot: Plot, i: int, curve: Curve, titles: dict[str, str]) -> No
     shown = [point for point in curve.points if point.y.value > 0 and point.x > 0]
     if curve.joined and shown:
         xs, ys = [p.x for p in shown], [p.y.value for p in shown]
-        axes.plot(xs, ys, color=colour, linewidth=1.4, linestyle="--" if _dashed(i) else "-",
-                  gid=f"line-{plot.id}-curve{i}")  # fmt: skip
+        style = {"linewidth": 1.4, "linestyle": "--" if _dashed(i) else "-", "marker": _marker(i), "markersize": 5}
+        axes.plot(xs, ys, color=colour, label=curve.name, gid=f"line-{plot.id}-curve{i}", **style)
     for j, p in enumerate(shown):
         low = max(p.y.low if p.y.low is not None else p.y.value, LOWEST_SHARE * p.y.value)
         high = p.y.high if p.y.high is not None else p.y.value
@@ -148,9 +174,13 @@ def _curve(axes, plot: Plot, i: int, curve: Curve, titles: dict[str, str]) -> No
         axes.plot([p.x_low, p.x_high], [p.y.value] * 2, color=colour, linewidth=1, gid=f"bars-{plot.id}-{j}-x-curve{i}")
         identifier = f"point-{plot.id}-{j}-curve{i}"
         titles[identifier] = p.words
-        axes.plot([p.x], [p.y.value], color=colour, marker=MARKERS[i % len(MARKERS)], markersize=5, gid=identifier)
+        axes.plot([p.x], [p.y.value], color=colour, marker=_marker(i), markersize=5, gid=identifier)
     if curve.floor is not None and curve.floor > 0:
         axes.axhline(curve.floor, color=colour, linewidth=0.8, linestyle="-.", gid=f"floor-{plot.id}-curve{i}")
+
+
+def _marker(i: int) -> str:
+    return MARKERS[i % len(MARKERS)]
 
 
 def _colour(i: int) -> str:
