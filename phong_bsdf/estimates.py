@@ -167,7 +167,7 @@ def error_at(times: Sequence[float], errors: Sequence[float], time: float) -> fl
 
 
 def time_to(times: Sequence[float], errors: Sequence[float], error: float) -> float | None:
-    """The first time at which the error is no larger, in the same way, or the first measured; None where it never is."""
+    """The first time at which the error is no larger, in the same way; None where it never is."""
     x, y = _logs(times, errors)
     wanted = math.log(error)
     for i in range(len(x)):

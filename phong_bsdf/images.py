@@ -84,9 +84,12 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    with _whole(Path(path)) as temporary:
-        Path(temporary).write_text(text, encoding="utf-8")
+    """Write a text file, whole or not at all; OSError, with its name, where that is not possible."""
+    try:
+        with _whole(Path(path)) as temporary:
+            Path(temporary).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OSError(f"'{path}' could not be written: {error.strerror or error}") from None
 
 
 def to_8bit(image: np.ndarray) -> np.ndarray:

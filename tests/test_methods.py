@@ -62,7 +62,9 @@ def test_methods_that_a_scene_supports(scene):
 
 def test_lobes_that_cannot_be_matched_can_still_be_sampled(scene):
     """A texture without a mean takes away the physical BSDF, not the rest."""
-    textured = '<bsdf type="phong"><texture type="mesh_attribute" name="kd"><string name="name" value="face_c"/></texture>'
+    textured = (
+        '<bsdf type="phong"><texture type="mesh_attribute" name="kd"><string name="name" value="face_c"/></texture>'
+    )
     found = names(scene(bsdf=f"{textured}</bsdf>"))
     assert "path-lobe" in found and "path-roughplastic" not in found
 

@@ -116,7 +116,8 @@ def write_svg(path: Path, plot: Plot) -> None:
 
     with matplotlib.rc_context({"font.size": 8, "svg.hashsalt": "phong_bsdf"}):
         figure, _ = _figure(plot, ink="black")
-        figure.axes[0].legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+        if any(curve.points for curve in plot.curves):
+            figure.axes[0].legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
         figure.axes[0].set_position((AREA[0], AREA[1], 0.74, AREA[3]))
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
