@@ -3,6 +3,7 @@
 What is on disk in out/study is not measured again.
 """
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -22,10 +23,9 @@ STUDIES = {
     "mirror-floor": "scenes/lecture/mirror-floor.xml --size 120x80",
     "glossy": "scenes/compare/balls.xml --size 128x96 --spp 1,4,16,64,256",
     "lights": "scenes/converge/thousand-lights.xml --size 96x72 --spp 4,16,64,256,1024 --method path --method direct "
-    "--method path-multijitter --method",
+    '--method path-multijitter --method "whitted=spp=1 4 16"',
+    "lobes": "--lobes --repeats 3",
 }
-# This one has a space in it.
-LAST = {"lights": ["whitted=spp=1 4 16"]}
 
 # In the strip of pictures.
 SHOWN = {
@@ -38,26 +38,21 @@ SHOWN = {
 def main():
     """Measure, then write docs/images/study-*.png and .svg and the tables of the page."""
     for name, arguments in STUDIES.items():
-        run(name, [*arguments.split(), *LAST.get(name, ())])
+        print(f"{name}:", flush=True)
+        command = [sys.executable, "-m", "phong_bsdf", "converge", *shlex.split(arguments), "-o", str(OUT / name)]
+        subprocess.run(command, check=True, cwd=ROOT)
+        if name == "lobes":
+            insert(name, lobe_table(lobe_errors.read(Store(OUT / name))))
+            continue
         found, pictures = conclusions.conclude(Store(OUT / name), convergence.read_run(Store(OUT / name)))
-        image = strip([pictures[key] for key in SHOWN[name]], pictures, SHOWN[name], conclusions.against(found.run))
+        image = strip(pictures, SHOWN[name], conclusions.against(found.run))
         images.write(ROOT / f"docs/images/study-{name}.png", image)
         plot = (OUT / name / "relmse.svg").read_text(encoding="utf-8")
         images.replace_file(ROOT / f"docs/images/study-{name}.svg", plot)
         insert(name, convergence_tables.equal_time_text(found))
-    run("lobes", ["--lobes", "--repeats", "3"])
-    insert("lobes", lobe_table(lobe_errors.read(Store(OUT / "lobes"))))
 
 
-def run(name: str, arguments: list[str]) -> None:
-    """The command, as a user gives it."""
-    print(f"{name}:", flush=True)
-    subprocess.run(
-        [sys.executable, "-m", "phong_bsdf", "converge", *arguments, "-o", str(OUT / name)], check=True, cwd=ROOT
-    )
-
-
-def strip(row, pictures, names, against) -> np.ndarray:
+def strip(pictures, names, against) -> np.ndarray:
     """Pictures side by side; below those of methods their errors, bright from 0.1 on."""
     maps = []
     for name in names:
@@ -65,6 +60,7 @@ def strip(row, pictures, names, against) -> np.ndarray:
         colours = page.false_colours(difference, 0.1)
         # The map's colours are those of a file already.
         maps.append(np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4))
+    row = [pictures[name] for name in names]
     return np.concatenate([np.concatenate(line, axis=1) for line in (row, maps)], axis=0).repeat(2, 0).repeat(2, 1)
 
 

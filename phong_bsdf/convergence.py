@@ -113,7 +113,8 @@ def plan(
         limit = methods.limit(scene, method)
         real = _rounded(scene, method, method.levels or levels)
         limits[limit.name] = limit
-        finest.setdefault(limit.name, {})[methods.integrator_of(scene, method) == methods.WHITTED] = max(real)
+        of_limit, grid = finest.setdefault(limit.name, {}), methods.integrator_of(scene, method) == methods.WHITTED
+        of_limit[grid] = max(*real, of_limit.get(grid, 0))
         name = limit.name if reference is None else Path(reference).name
         runs.append(MethodRun(method.name, method.spec(), key(method, machine), name, real))
     if reference is not None:

@@ -12,6 +12,9 @@ import numpy as np
 
 CONFIDENCE = 0.95
 
+# Values of each picture that are in memory in double precision at once.
+CHUNK = 2**16
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -67,11 +70,19 @@ class Products:
 
 def products(passes: Sequence[np.ndarray], references: Sequence[np.ndarray], weight: np.ndarray | float) -> Products:
     """Inner products of pictures of one shape; `weight` is 1 for MSE, 1 / (r^2 + epsilon) for relMSE."""
-    center = sum(np.asarray(r, np.float64) for r in references) / len(references)
-    root = np.sqrt(weight)
-    x, r = (np.stack([((image - center) * root).ravel() for image in images]) for images in (passes, references))
-    n = center.size
-    return Products(x @ x.T / n, x @ r.T / n, r @ r.T / n)
+    center = average(references)
+    root, n, k = np.sqrt(np.broadcast_to(weight, center.shape)).ravel(), len(passes), len(references)
+    flat, gram = [np.ravel(image) for image in (*passes, *references)], np.zeros((n + k, n + k))
+    for start in range(0, center.size, CHUNK):
+        part = slice(start, start + CHUNK)
+        differences = (np.stack([image[part] for image in flat]) - center.ravel()[part]) * root[part]
+        gram += differences @ differences.T / center.size
+    return Products(gram[:n, :n], gram[:n, n:], gram[n:, n:])
+
+
+def average(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean of pictures of one shape, in double precision."""
+    return sum(np.asarray(image, np.float64) for image in images) / len(images)
 
 
 def error(p: Products, confidence: float = CONFIDENCE) -> Estimate:

@@ -166,7 +166,7 @@ def integrator_of(scene: Scene, method: Method) -> str:
 def limit(scene: Scene, method: Method) -> Method:
     """The method whose converged picture `method` is compared with."""
     if method.reference == "own":
-        return replace(method, sampler="independent")
+        return replace(method, name=f"{method.name}.own", sampler="independent")
     plugin = integrator_of(scene, method)
     convention = method.parameters.get("convention", "course" if scene.course else "physical")
     course = plugin == WHITTED and convention == "course"

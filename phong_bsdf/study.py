@@ -40,8 +40,8 @@ class Reference:
     def __init__(self, name: str, images: Sequence[np.ndarray], coarser=None, kind: str = "passes"):
         """`kind`: `passes`, `grid` (`coarser`: the picture of half as many samples across) or `file`."""
         self.name, self.kind, self.passes = name, kind, len(images)
-        self.images = [np.asarray(image, np.float64) for image in images]
-        self.mean = sum(self.images) / len(self.images)
+        self.images = list(images)
+        self.mean = estimates.average(self.images)
         self.nonfinite = metrics.nonfinite(self.mean)
         self.coarser = coarser
 
@@ -283,10 +283,13 @@ def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
 
 
 def _table(results: Sequence[Result], columns: Sequence[float], cell) -> Table:
-    """Without columns that fewer than two methods, or the only one, fill."""
+    """Without columns that fewer than two methods, or the only one, fill, and those in which all are good at once."""
     rows = {r.name: [cell(r, column) for column in columns] for r in results if r.levels}
-    least = min(2, len(rows))
-    kept = [i for i in range(len(columns)) if sum(row[i] is not None for row in rows.values()) >= least]
+    kept = []
+    for i in range(len(columns)):
+        filled = [row[i] for row in rows.values() if row[i] is not None]
+        if len(filled) >= min(2, len(rows)) and not all(one.at_most for one in filled):
+            kept.append(i)
     if len(kept) > COLUMNS:
         kept = [kept[i] for i in np.linspace(0, len(kept) - 1, COLUMNS).round().astype(int)]
     return Table(tuple(columns[i] for i in kept), {name: tuple(row[i] for i in kept) for name, row in rows.items()})

@@ -94,6 +94,17 @@ def test_reference_of_one_picture_is_exact():
     assert estimates.errors(p) == pytest.approx([np.mean(WEIGHT * (x - TRUTH) ** 2) for x in images])
 
 
+def test_large_pictures_go_in_parts(monkeypatch):
+    """The products do not depend on them."""
+    rng = np.random.default_rng(7)
+    pictures = passes(rng, 3), passes(rng, 2), WEIGHT
+    whole = estimates.products(*pictures)
+    monkeypatch.setattr(estimates, "CHUNK", 50)
+    parts = estimates.products(*pictures)
+    for name in ("xx", "xr", "rr"):
+        assert getattr(parts, name) == pytest.approx(getattr(whole, name), rel=1e-12)
+
+
 def test_passes_without_noise_have_no_interval_width():
     """Equal pictures: the interval is the value, whatever float64 leaves."""
     p = estimates.products([TRUTH * 1.1] * 4, [TRUTH], 1.0)
