@@ -232,6 +232,22 @@ def test_whitted_is_measured_against_a_finer_grid(scene):
     assert result["efficiency"] is None and result["verdict"] in ("falling", "reference", "biased")
 
 
+def test_references_are_finer_than_all_methods(scene):
+    """Whatever numbers of samples each method has of its own, and in whichever order they come."""
+    for given in ([("path", {"spp": "256"}), ("direct", {})], [("direct", {}), ("path", {"spp": "256"})]):
+        (reference,) = convergence.plan(Path("a.xml"), given=given, levels=(1, 4)).run.references
+        assert set(reference.levels) == {convergence.REFERENCE_SPP * 256}
+        assert len(reference.levels) == convergence.REFERENCE_PASSES
+    fine, coarse = ("whitted", {"spp": "64"}), ("coarse", {"integrator": "whitted", "spp": "1"})
+    Path("a.xml").write_text(
+        SCENE.format(light="point").replace('<integrator type="path">', '<integrator type="whitted">')
+    )
+    for given in ([fine, coarse], [coarse, fine]):
+        # The samples of random methods do not refine a grid.
+        (reference,) = convergence.plan(Path("a.xml"), given=given).run.references
+        assert reference.levels == (32**2, 16**2)
+
+
 def test_grids_share_no_sample():
     """The centres of an n x n grid are on no reference grid that can follow from n."""
     for n in range(1, 33):
@@ -251,6 +267,25 @@ def test_interleaved(scene, monkeypatch):
     assert [repeat for *_, repeat in references] == list(range(convergence.REFERENCE_PASSES))
     assert [(spp, repeat) for _, spp, repeat in passes] == [(1, 0), (4, 0)] * 2 + [(1, 1), (4, 1)] * 2
     assert len({key[0] for key, *_ in passes[:4]}) == 2
+
+
+def test_first_rendering_and_compiling_are_not_timed(scene, monkeypatch):
+    """A scene's first rendering, and one that compiles, is made again; what it took longer is its warm-up."""
+    calls, made = [], []
+
+    def timed(loaded, camera, spp, seed):
+        calls.append(spp)
+        compiled = spp == 16 and calls.count(16) == 1
+        seconds = {1: 3.0, 2: 0.5}[calls.count(spp)] + 0.25 * spp
+        return rendering.Rendering(np.zeros((2, 2, 3)), "none", spp, seed, 1, 0.0, seconds, compiled), seconds
+
+    monkeypatch.setattr(measuring, "_timed", timed)
+    monkeypatch.setattr(Store, "add", lambda self, key, p, image: made.append(p))
+    planned = convergence.plan(Path("a.xml"), given=[("path", {})], levels=(1, 4, 16), repeats=1)
+    monkeypatch.setattr(measuring._Session, "make_reference", lambda self, reference: None)
+    measuring.measure(planned, Store(Path("out")))
+    assert calls == [1, 1, 4, 16, 16]
+    assert [(p.seconds, p.seconds_warmup) for p in made] == [(0.75, 2.5), (4.0, 0.0), (4.5, 2.5)]
 
 
 def test_hash_follows_all_that_a_picture_depends_on(scene):
