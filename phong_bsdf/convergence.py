@@ -99,33 +99,32 @@ def plan(
     film = _film_size(scene, camera, size)
     if reference is not None:
         _check_reference(reference, film)
-    scene_hash = _scene_hash(scene)
+    chosen = methods.chosen(scene, given)
+    limits = {method.name: methods.limit(scene, method) for method in chosen}
+    real = {method.name: _rounded(scene, method, method.levels or levels) for method in chosen}
+    context = [scene_hash := _scene_hash(scene), camera, size, mi.variant(), seed, versions()]
     machine = passes.machine(dr.thread_count())
-    context = [scene_hash, camera, size, mi.variant(), seed, versions()]
-    states, runs, limits, finest = {}, [], {}, {}
+    states = {}
 
     def key(method: methods.Method, *more) -> str:
         made = f"{method.name}-{passes.digest([*context, method.spec(), *more])}"
         states[made] = methods.applied(scene, method)
         return made
 
-    for method in methods.chosen(scene, given):
-        limit = methods.limit(scene, method)
-        real = _rounded(scene, method, method.levels or levels)
-        limits[limit.name] = limit
-        of_limit, grid = finest.setdefault(limit.name, {}), methods.integrator_of(scene, method) == methods.WHITTED
-        of_limit[grid] = max(*real, of_limit.get(grid, 0))
-        name = limit.name if reference is None else Path(reference).name
-        runs.append(MethodRun(method.name, method.spec(), key(method, machine), name, real))
+    runs = tuple(
+        MethodRun(m.name, m.spec(), key(m, machine), Path(reference or limits[m.name].name).name, real[m.name])
+        for m in chosen
+    )
     if reference is not None:
-        file = ReferenceRun(
-            Path(reference).name, _file_hash(reference)[:12], "file", (), str(Path(reference).resolve())
-        )
-        references = [file]
+        file = Path(reference).resolve()
+        references = [ReferenceRun(Path(reference).name, _file_hash(file)[:12], "file", (), str(file))]
     else:
-        references = [_reference(scene, limit, finest[name], key(limit, "reference")) for name, limit in limits.items()]
+        references = [
+            _reference(scene, limit, [(m, max(real[m.name])) for m in chosen if limits[m.name] == limit], key)
+            for limit in {limit.name: limit for limit in limits.values()}.values()
+        ]
     run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
-              tuple(runs), tuple(references), versions(), machine)  # fmt: skip
+              runs, tuple(references), versions(), machine)  # fmt: skip
     return Plan(Path(path), states, size, run)
 
 
@@ -139,12 +138,14 @@ def reference_grid(spp: int) -> int:
     return 2 ** math.ceil(math.log2(REFERENCE_GRID * math.sqrt(spp)))
 
 
-def _reference(scene: methods.Scene, limit: methods.Method, finest: Mapping[bool, int], key: str) -> ReferenceRun:
-    """`finest`: whether it is of a grid -> most samples of the methods with this limit."""
+def _reference(scene: methods.Scene, limit: methods.Method, finest: Sequence[tuple], key) -> ReferenceRun:
+    """`finest`: the methods with this limit, each with its most samples. `key` makes the key of a method."""
     if methods.integrator_of(scene, limit) == methods.WHITTED:
-        across = reference_grid(finest.get(True, LEAST_GRID))
-        return ReferenceRun(limit.name, key, "grid", (across**2, (across // 2) ** 2))
-    return ReferenceRun(limit.name, key, "passes", (REFERENCE_SPP * max(finest.values()),) * REFERENCE_PASSES)
+        grids = [spp for method, spp in finest if methods.integrator_of(scene, method) == methods.WHITTED]
+        across = reference_grid(max(grids, default=LEAST_GRID))
+        return ReferenceRun(limit.name, key(limit, "reference"), "grid", (across**2, (across // 2) ** 2))
+    spp = REFERENCE_SPP * max(spp for _, spp in finest)
+    return ReferenceRun(limit.name, key(limit, "reference"), "passes", (spp,) * REFERENCE_PASSES)
 
 
 def _rounded(scene: methods.Scene, method: methods.Method, levels: Sequence[int]) -> tuple[int, ...]:

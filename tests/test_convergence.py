@@ -369,6 +369,17 @@ def test_pixels_that_are_no_numbers_are_reported(scene):
     assert "no numbers" in command("--from", "out").stdout
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ("llvm_ad_mono", "scalar_rgb"))
+def test_other_variants(scene, variant):
+    """Pictures of one channel, and variants without kernels."""
+    found = converge("--size", "10x8", "--spp", "1,4", "--repeats", "3", *TWO, "-m", variant)
+    assert len(found["rows"]) == 12 and {row["variant"] for row in found["rows"]} == {variant}
+    assert all(row["relmse"] > 0 for row in found["rows"] if row["spp"] == 1)
+    channels = 1 if variant.endswith("mono") else 3
+    assert images.read_exr(Path("out/pictures/path.exr")).shape == (8, 10, channels)
+
+
 def test_conclusions_of_nothing(scene):
     """A folder in which nothing has been rendered yet has a page that says so."""
     store = Store(Path("out"))

@@ -46,7 +46,7 @@ def test_commands_of_the_page_work(tmp_path, monkeypatch):
 def test_thousand_lights(tmp_path):
     """Integrators that ask one lamp at random mean the picture of the one that asks them all: no bias in either."""
     given = ["--method", "path", "--method", "direct", "--method", "whitted=spp=1 4"]
-    run(["converge", LIGHTS, "-o", tmp_path / "out", "--size", "20x15", "--spp", "64,256", "--repeats", "5", *given])
+    run(["converge", LIGHTS, "-o", tmp_path / "out", "--size", "16x12", "--spp", "64,256", "--repeats", "4", *given])
     found = json.loads((tmp_path / "out/convergence.json").read_text())
     path, direct, whitted = found["results"]
     assert (path["verdict"], direct["verdict"]) == ("unbiased", "unbiased")
