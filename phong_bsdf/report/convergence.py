@@ -43,7 +43,7 @@ def brief(found: Conclusions) -> list[str]:
         sentences += _best(found.equal_time, names, reference.name)
     for result in found.results:
         if result.verdict == "biased":
-            sentences.append(f"{result.name}: its error {verdict(result)}, where more time does not help.")
+            sentences.append(f"{result.name}: its error {verdict(result)}; more time does not bring it below.")
     return sentences or ["There is not enough to compare yet."]
 
 

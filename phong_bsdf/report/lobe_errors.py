@@ -62,7 +62,7 @@ def brief(rows: Sequence[LobeError]) -> list[str]:
             ratio = stable.nanoseconds.median / other.nanoseconds.median
             said.append(
                 f"{lobe}, p = {largest:g}: the stable value is off by {errors[0]} at worst, the {formula} one by "
-                f"{errors[1]}; it takes {ratio:.2f} times as long."
+                f"{errors[1]}; the stable one takes {ratio:.2f} times as long."
             )
     return said
 
