@@ -32,8 +32,8 @@ def measure(
     *,
     time_budget: float = math.inf,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
-) -> int:
-    """Make the passes that are not on disk yet; returns how many are missing because of the time budget.
+) -> None:
+    """Make the passes that are not on disk yet, as far as the time budget goes.
 
     Half of the budget, in seconds, is for the references, the rest for the passes. A method that
     fails is left out, its reason kept in the store.
@@ -48,7 +48,6 @@ def measure(
     for repeat in range(planned.run.repeats):
         for method in planned.run.methods:
             session.make_passes(method, repeat)
-    return session.skipped
 
 
 class _Session:
@@ -56,7 +55,7 @@ class _Session:
 
     def __init__(self, planned: Plan, store: Store, on_progress):
         self.plan, self.store, self.on_progress = planned, store, on_progress
-        self.deadline, self.skipped = math.inf, 0
+        self.deadline = math.inf
         self.failed_references: dict[str, str] = {}
         # (key, spp) -> seconds of its last pass.
         self.known: dict[tuple[str, int], float] = {}
@@ -94,9 +93,7 @@ class _Session:
         if self.plan.size:
             rendering.resize(loaded, self.plan.run.camera, *self.plan.size)
         for i, (spp, number) in enumerate(todo):
-            if number >= least and time.perf_counter() + self._expected(key, spp) > self.deadline:
-                self.skipped += 1
-            else:
+            if number < least or time.perf_counter() + self._expected(key, spp) <= self.deadline:
                 self._pass(loaded, key, spp, number, seed_bit, timed=repeat is not None, first=i == 0)
             self._progress(what, spp)
 
