@@ -5,7 +5,7 @@ BIN = .venv/bin
 READY = .venv/ready
 LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml))
 
-.PHONY: demo test check bench figures clean
+.PHONY: demo test check bench docs figures study clean
 
 demo: $(LECTURE)
 	@echo "The lecture's pictures are in $(CURDIR)/out"
@@ -24,6 +24,12 @@ bench: $(READY)
 figures: $(READY)
 	@$(BIN)/python docs/figures.py
 	@$(BIN)/phong-bsdf render scenes/lecture/mirror-floor.xml -o docs/images/mirror-floor.png --spp 16
+
+# The three scenes of docs/error-vs-time.md: some five minutes. What is in out/study is not measured again.
+study: $(READY)
+	@$(BIN)/python docs/study.py
+
+docs: figures study
 
 clean:
 	rm -rf .venv out

@@ -157,6 +157,14 @@ def run(
     return Comparison(planned.path.name, next(integrators), tuple(rows), planned.replacements, planned.curves, images)
 
 
+def swapped(path: Path, state, plugin: str):
+    """The parsed scene with `plugin`, matched, in place of each lobe BSDF; ValueError where one cannot be matched."""
+    for surface in surfaces.find(state, lambda root: rendering.make(path, root)):
+        matched = matching.match(plugin, surface.lobe, _specular_albedo, {}, surface.is_textured("specular"))
+        state = surfaces.replaced(state, surface, matched.plugin, matched.parameters)
+    return state
+
+
 def _check_given(given: Sequence[Choice], found: Mapping[str, surfaces.Surface]) -> None:
     for i, choice in enumerate(given):
         if choice.surface not in found:

@@ -75,10 +75,21 @@ def read_exr(path: Path) -> np.ndarray:
         return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], axis=-1)
 
 
+def read_metadata(path: Path) -> dict[str, str]:
+    """The string attributes of an EXR file."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as file:
+        return {name: value for name, value in file.header().items() if isinstance(value, str)}
+
+
 def replace_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    with _whole(Path(path)) as temporary:
-        Path(temporary).write_text(text, encoding="utf-8")
+    """Write a text file, whole or not at all; OSError, with its name, where that is not possible."""
+    try:
+        with _whole(Path(path)) as temporary:
+            Path(temporary).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OSError(f"'{path}' could not be written: {error.strerror or error}") from None
 
 
 def to_8bit(image: np.ndarray) -> np.ndarray:

@@ -60,6 +60,8 @@ class Rendering:
     lights: int
     seconds_compiling: float
     seconds_rendering: float
+    compiled: bool
+    """Whether a kernel was compiled that no earlier rendering of the process had needed."""
 
 
 def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
@@ -151,7 +153,8 @@ def render(
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
         raise SceneError(explain(error, loaded.path)) from None
-    return Rendering(image, mi.variant(), spp, seed, lights, compiling.seconds, max(seconds - compiling.seconds, 0.0))
+    return Rendering(image, mi.variant(), spp, seed, lights, compiling.seconds, max(seconds - compiling.seconds, 0.0),
+                     compiling.happened)  # fmt: skip
 
 
 def explain(error: BaseException, path: Path) -> str:
@@ -266,6 +269,7 @@ class _CompileTime:
     """Seconds that Dr.Jit spent on code generation and in LLVM inside a `with` block."""
 
     seconds = 0.0
+    happened = False
 
     def __enter__(self):
         self.before = dr.flag(dr.JitFlag.KernelHistory)
@@ -275,5 +279,7 @@ class _CompileTime:
 
     def __exit__(self, *_):
         times = ("codegen_time", "backend_time")
-        self.seconds = sum(k.get(t, 0) for k in dr.kernel_history() for t in times) / 1000
+        kernels = dr.kernel_history()
+        self.seconds = sum(kernel.get(t, 0) for kernel in kernels for t in times) / 1000
+        self.happened = any(kernel.get("cache_hit") == 0 for kernel in kernels)
         dr.set_flag(dr.JitFlag.KernelHistory, self.before)

@@ -55,6 +55,8 @@ class Row:
     nanoseconds: float
     """Time of one evaluation, on all threads."""
     naive_nanoseconds: float
+    native_nanoseconds: float | None = None
+    """None where Mitsuba has no such function."""
 
     @property
     def passed(self) -> bool:
@@ -292,11 +294,13 @@ def _measure_directions(lobe, p, cases, seed) -> Iterator[Row]:
         values = [function(*inputs).numpy() for function in (stable, naive)]
         error, c, *worst = _worst(values[0], truth, kappa)
         naive_error, naive_c, *_ = _worst(values[1], truth, kappa)
+        timed = [lambda f=f: f(*inputs) for f in (stable, naive)]
         native_error = native_c = None
         if (lobe, quantity) == ("blinnphong", "value"):
             beckmann = _beckmann(inputs[0], inputs[1], p).numpy()
             native_error, native_c, *_ = _worst(beckmann, *_exact_beckmann(wi, wo, p))
-        times = _interleaved([lambda f=f: f(*inputs) for f in (stable, naive)], len(wi))
+            timed.append(lambda: _beckmann(inputs[0], inputs[1], p))
+        times = _interleaved(timed, len(wi))
         inputs_of = [tuple(float(x) for x in (*wi[i], *wo[i])) for i in worst]
         ours = error, inputs_of[0], c, inputs_of[1]
         yield Row(quantity, lobe, p, len(wi), *ours, naive_error, naive_c, native_error, native_c, *times)

@@ -1,99 +1,96 @@
-"""Pictures of more samples than one kernel should or can have."""
+"""Passes on disk: whole or not there, one writer at a time, readable years later."""
 
-import math
-from pathlib import Path
+import dataclasses
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import camera, rendering
+from phong_bsdf import images, passes
+from phong_bsdf.passes import Pass, Store
 
-SCENES = Path(__file__).parent.parent / "scenes"
-
-
-def lecture_scene(film, spp, sampler="independent"):
-    """The mirror floor in 60 x 40 pixels."""
-    loaded = mi.load_file(str(SCENES / "lecture/mirror-floor.xml"), width="60", height="40")
-    sensor = {
-        "type": "perspective",
-        "to_world": mi.ScalarTransform4f().look_at([0, 1.6, 8], [0, -0.25, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 60, "height": 40, "rfilter": {"type": film}},
-        "sampler": {"type": sampler, "sample_count": spp},
-    }
-    return loaded, mi.load_dict(sensor)
+MADE = Pass(16, 5, 3, 0.25, 1.5, "llvm_ad_rgb", "phong_bsdf 1", "a machine", "now")
+IMAGE = np.random.default_rng(0).normal(0, 1, (6, 8, 3)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("film", "spp", "bound"), [("box", 4, 0), ("gaussian", 4, 1e-6), ("gaussian", 1, 1e-6)])
-def test_passes_show_the_same(film, spp, bound, monkeypatch):
-    """More samples than are rendered at once: the same picture, and the share done after each pass."""
-    loaded, sensor = lecture_scene(film, spp)
-    whole = np.array(mi.render(loaded, sensor=sensor, spp=spp))
-    monkeypatch.setattr(camera, "LANES", 1000)
-    shares = []
-    loaded.integrator().on_progress = shares.append
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        parts = np.array(mi.render(loaded, sensor=sensor, spp=spp))
-        tracing = {kernel["hash"] for kernel in dr.kernel_history() if kernel.get("operation_count", 0) > 300}
-    assert np.abs(parts - whole).max() <= bound
-    assert (
-        shares == sorted(shares) and len(shares) == math.ceil(60 * 40 * spp / (1000 // spp * spp)) and shares[-1] == 1
-    )
-    # One for the first pass, whose block is empty, and one for all others; the last is shorter.
-    assert len(tracing) <= 2
+@pytest.fixture
+def store(tmp_path):
+    with Store(tmp_path / "a folder").opened() as store:
+        yield store
 
 
-def test_bands_are_one_kernel(monkeypatch):
-    """The command renders large pictures in bands of rows, and compiles once for all of one height."""
-    monkeypatch.setattr(rendering, "SAMPLES_PER_PASS", 500)
-    loaded = rendering.load(SCENES / "lecture/mirror-floor.xml", {"width": "60", "height": "44"})
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        images = [image.copy() for image, _ in rendering._passes(loaded, loaded.sensor(1), 1, 0)]
-        tracing = [k["hash"] for k in dr.kernel_history() if k.get("operation_count", 0) > 300]
-    assert len(images) == len(tracing) == 6 and len(set(tracing[:-1])) == 1
-    whole = np.array(mi.render(loaded.scene))
-    assert np.mean(np.abs(images[-1] - whole).max(axis=2) > 1e-5) < 0.002
+def test_pass_comes_back(store):
+    """Record and picture, to the last bit; and the file is a picture that anything can open."""
+    assert not store.has("m-1", 16, 3)
+    store.add("m-1", MADE, IMAGE)
+    assert store.has("m-1", 16, 3) and not store.has("m-1", 16, 2) and not store.has("m-2", 16, 3)
+    assert store.list("m-1") == [MADE] and np.array_equal(store.image("m-1", MADE), IMAGE)
+    (path,) = (store.passes / "m-1").iterdir()
+    assert np.array_equal(images.read_exr(path), IMAGE)
 
 
-def test_passes_draw_other_numbers(monkeypatch):
-    """Random samples of two passes are different: a picture of few passes is as noisy as that of one."""
-    sky, sensor = lecture_scene("box", 8)
-    spread = {}
-    for lanes in (2**26, 1000):
-        monkeypatch.setattr(camera, "LANES", lanes)
-        pictures = [np.array(mi.render(sky, sensor=sensor, spp=8, seed=seed)) for seed in range(6)]
-        spread[lanes] = np.var(pictures, axis=0).mean()
-        assert len({picture.tobytes() for picture in pictures}) == 6
-    assert spread[1000] == pytest.approx(spread[2**26], rel=0.2)
+def test_passes_in_order(store):
+    """By samples, then repeats, whatever the order in which they were made."""
+    for spp, repeat in ((64, 0), (4, 1), (1024, 0), (4, 0)):
+        store.add("m", dataclasses.replace(MADE, spp=spp, repeat=repeat), IMAGE)
+    assert [(p.spp, p.repeat) for p in store.list("m")] == [(4, 0), (4, 1), (64, 0), (1024, 0)]
+    assert store.list("nothing") == []
 
 
-def test_passes_can_be_interrupted(monkeypatch):
-    """Ctrl-C is heard between two passes, and the next rendering is whole."""
-    loaded, sensor = lecture_scene("gaussian", 1)
-    whole = np.array(mi.render(loaded, sensor=sensor))
+def test_failed_write_leaves_nothing(store, monkeypatch):
+    """No file under its name, and none under another."""
 
-    def interrupt(share):
-        raise KeyboardInterrupt
+    def fail(path, image, metadata):
+        raise OSError("no space")
 
-    monkeypatch.setattr(camera, "LANES", 1000)
-    loaded.integrator().on_progress = interrupt
-    with pytest.raises((KeyboardInterrupt, RuntimeError)):
-        mi.render(loaded, sensor=sensor)
-    loaded.integrator().on_progress = lambda share: None
-    assert np.abs(np.array(mi.render(loaded, sensor=sensor)) - whole).max() < 1e-6
+    monkeypatch.setattr(images, "_write_exr", fail)
+    with pytest.raises(OSError, match="no space"):
+        store.add("m", MADE, IMAGE)
+    assert list((store.passes / "m").iterdir()) == []
 
 
-@pytest.mark.slow
-def test_more_samples_than_a_kernel_has_lanes():
-    """256 x 256 pixels of 65537 samples and a few: 2^32 lanes are too many for one kernel."""
-    scene = mi.load_dict(
-        {"type": "scene", "integrator": {"type": "whitted"}, "sky": {"type": "constant", "radiance": 0.25}}
-    )
-    film = {"type": "hdrfilm", "width": 256, "height": 256, "rfilter": {"type": "box"}}
-    sensor = mi.load_dict({"type": "perspective", "film": film, "sampler": {"type": "independent"}})
-    assert 256 * 256 * 257**2 > 2**32
-    picture = np.array(mi.render(scene, sensor=sensor, spp=257**2))
-    np.testing.assert_allclose(picture, 0.25, rtol=1e-4)
+def test_leftovers_are_removed(tmp_path):
+    """What a killed process was writing is gone when the next one begins; passes stay."""
+    with Store(tmp_path).opened() as store:
+        store.add("m", MADE, IMAGE)
+        (store.passes / "m" / ".000016-spp-x.exr").write_bytes(b"half")
+    with Store(tmp_path).opened():
+        assert [path.name for path in (store.passes / "m").iterdir()] == ["000016-spp-repeat-003.exr"]
+
+
+def test_one_writer(store):
+    """A second run into the same folder is refused; after the first it is not."""
+    with pytest.raises(ValueError, match="another run is writing there"), Store(store.folder).opened():
+        pass
+
+
+def test_reasons_of_failures(store):
+    """Kept for the report until the method works."""
+    assert store.failure("m") is None
+    store.set_failure("m", "no area lights")
+    assert store.failure("m") == "no area lights"
+    store.set_failure("m", None)
+    store.set_failure("m", None)
+    assert store.failure("m") is None
+
+
+def test_foreign_file_is_named(store):
+    """A picture without a record is not taken for a pass."""
+    (store.passes / "m").mkdir()
+    images.write(store.passes / "m" / "000001-spp-repeat-000.exr", IMAGE)
+    with pytest.raises(ValueError, match=r"000001-spp-repeat-000\.exr' is no pass"):
+        store.list("m")
+
+
+def test_folder_holds_one_kind(store):
+    """Scenes and lobes do not mix."""
+    store.claim(passes.RUN)
+    (store.folder / passes.LOBES).write_text("{}")
+    store.claim(passes.LOBES)
+    with pytest.raises(ValueError, match="choose another folder"):
+        store.claim(passes.RUN)
+
+
+def test_digest_is_of_the_content():
+    """Not of the order of a dictionary."""
+    assert passes.digest({"a": 1, "b": 2}) == passes.digest({"b": 2, "a": 1}) != passes.digest({"a": 2, "b": 2})
+    assert len(passes.digest("x", 8)) == 8

@@ -127,3 +127,61 @@ def test_few_samples_are_lost(p, cos):
     beyond_45_degrees = 0.5 ** ((p + 1) / 2)
     lost = dr.count(bs.pdf == 0)[0] / 2**16
     assert lost <= beyond_45_degrees + 4 * math.sqrt(beyond_45_degrees / 2**16) + 1e-3
+
+
+# One strategy alone ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("sampling", ("cosine", "lobe"))
+def test_sampling_changes_no_value(kind, sampling):
+    """Only how directions are drawn: f stays, the density is that of the strategy, and samples follow it."""
+    description = {"type": kind, "kd": 0.4, "ks": 0.3, "p": 20}
+    mixture, alone = mi.load_dict(description), mi.load_dict({**description, "sampling": sampling})
+    n, rng = 2**12, mi.PCG32(2**12)
+    si, ctx = interaction(mi.Vector3f(0.6, 0, 0.8) + dr.zeros(mi.Vector3f, n)), mi.BSDFContext()
+    wo = mi.warp.square_to_uniform_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    value, pdf = alone.eval_pdf(ctx, si, wo)
+    assert dr.allclose(value, mixture.eval(ctx, si, wo), rtol=0, atol=0)
+    lobe = mi.load_dict({**description, "kd": 0})
+    expected = wo.z * dr.inv_pi if sampling == "cosine" else lobe.pdf(ctx, si, wo)
+    assert dr.allclose(pdf, expected, rtol=1e-6)
+    bs, weight = alone.sample(ctx, si, rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32()))
+    assert dr.allclose(weight * bs.pdf, alone.eval(ctx, si, bs.wo), rtol=1e-5)
+    kinds = {"cosine": mi.BSDFFlags.DiffuseReflection, "lobe": mi.BSDFFlags.GlossyReflection}
+    assert dr.all(bs.sampled_type == int(kinds[sampling]))
+
+
+@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("sampling", ("cosine", "lobe"))
+@pytest.mark.parametrize("part", ({"kd": 0, "ks": 0.3}, {"kd": 0.4, "ks": 0}))
+def test_sampling_of_one_component(kind, sampling, part):
+    """By cosine a lobe without a base, too; a base without a lobe has nothing but the cosine."""
+    p = 5
+    bsdf = mi.load_dict({"type": kind, **part, "p": p, "sampling": sampling})
+    by_cosine = sampling == "cosine" or part["ks"] == 0
+    si, ctx, wo = interaction(mi.Vector3f(0.6, 0, 0.8)), mi.BSDFContext(), dr.normalize(mi.Vector3f(-0.5, 0.1, 0.7))
+    pdf = bsdf.pdf(ctx, si, wo)
+    assert dr.allclose(pdf, wo.z * dr.inv_pi, rtol=1e-6) == by_cosine
+    bs, weight = bsdf.sample(ctx, si, 0.3, mi.Point2f(0.4, 0.7))
+    assert dr.allclose(weight * bs.pdf, bsdf.eval(ctx, si, bs.wo), rtol=1e-5)
+    # What was sampled is a component that the BSDF has.
+    assert dr.all(bs.sampled_type == (bsdf.flags() & int(mi.BSDFFlags.Smooth)))
+
+
+@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("sampling", ("cosine", "lobe"))
+def test_one_strategy_follows_its_density(kind, sampling):
+    """Chi-square, at an oblique angle."""
+    parameters = f'<float name="ks" value="2"/><float name="p" value="20"/><string name="sampling" value="{sampling}"/>'
+    sample, pdf = mi.chi2.BSDFAdapter(kind, parameters, wi=[0.6, 0, 0.8])
+    test = mi.chi2.ChiSquareTest(
+        domain=mi.chi2.SphericalDomain(), sample_func=sample, pdf_func=pdf, sample_dim=3, ires=16, res=101
+    )
+    assert test.run(), test.messages
+
+
+def test_unknown_sampling():
+    """Named, with what there is."""
+    with pytest.raises(RuntimeError, match="'sampling' must be mixture, cosine, lobe, got 'both'"):
+        mi.load_dict({"type": "phong", "sampling": "both"})

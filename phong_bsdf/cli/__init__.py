@@ -4,6 +4,7 @@ import click
 
 from .. import __version__
 from .compare import compare
+from .converge import converge
 from .doctor import doctor
 from .explain import explain
 from .render import render
@@ -16,5 +17,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, compare, explain, stability, doctor):
+for command in (render, compare, converge, explain, stability, doctor):
     main.add_command(command)

@@ -54,13 +54,50 @@ class Bsdf(click.ParamType):
         return numbers[0] if len(numbers) == 1 else numbers if len(numbers) == 3 else text
 
 
+class Levels(click.ParamType):
+    """`1,4,16`: numbers of samples, ascending."""
+
+    name = "N,N,..."
+
+    def convert(self, value, param, ctx):
+        numbers = [text.strip() for text in str(value).split(",")]
+        if not all(number.isdigit() and int(number) > 0 for number in numbers):
+            self.fail(f"'{value}' is no list of samples per pixel; write it as 1,4,16", param, ctx)
+        return sorted({int(number) for number in numbers})
+
+
+class MethodSpec(click.ParamType):
+    """`name` or `name=key=value,key=value`."""
+
+    name = "name[=key=value,...]"
+
+    def convert(self, value, param, ctx):
+        name, _, rest = str(value).partition("=")
+        pairs = [assignment.partition("=") for assignment in rest.split(",")] if rest else []
+        if not name or not all(key.strip() and equals and text.strip() for key, equals, text in pairs):
+            self.fail(f"'{value}' should be a name, or name=key=value,key=value", param, ctx)
+        return name.strip(), {key.strip(): self.parameter(key.strip(), text.strip()) for key, _, text in pairs}
+
+    @staticmethod
+    def parameter(key: str, text: str):
+        """A whole number, or what it is for a BSDF; of `spp` the text."""
+        if key == "spp":
+            return text
+        return int(text) if text.lstrip("+-").isdigit() else Bsdf.parameter(text)
+
+
 def scene_options(command):
     """The options of every command that renders a scene."""
+    spp = click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says.")
+    return spp(renderer_options(command))
+
+
+def renderer_options(command):
+    """The same, but for the number of samples."""
     options = (
         click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb."),
         click.option("-D", "--define", "defines", multiple=True, type=Define(),
                      help="Value for a <default> of the scene. May be given several times."),
-        click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says."),
         click.option("--size", type=Size(), help="Size of the picture. Default: as the scene says."),
         click.option("--camera", default=1, show_default=True, help="Which sensor of the scene, counted from 1."),
         click.option("-s", "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,

@@ -39,6 +39,10 @@ class BlinnPhong(lobe_bsdf.LobeBSDF):
 
     All are differentiable. Values of textures outside the range are clamped to it.
 
+    Either takes `sampling`, which says how directions are drawn where an integrator asks for samples:
+    `mixture` (default, by cosine or lobe, each as often as it reflects light), `cosine` or `lobe` alone. It is there to
+    be compared (`phong-bsdf converge`): where the lobe alone never samples, `path` misses light.
+
     Source: Blinn, "Models of light reflection for computer synthesized pictures", 1977.
 
     XML::

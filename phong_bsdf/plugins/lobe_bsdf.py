@@ -15,6 +15,9 @@ REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
 ENERGY = "ensure_energy_conservation"
 DEFAULTS = (0.5, 0.2, 30.0)
 
+# How `sample` chooses directions: by the lobe or the cosine, as much light as each reflects; by one of them alone.
+SAMPLINGS = MIXTURE, COSINE, LOBE = "mixture", "cosine", "lobe"
+
 
 @functools.cache
 def _albedo_table(lobe: str, reflectance: bool):
@@ -39,6 +42,9 @@ class LobeBSDF(mi.BSDF):
         self.parameters = (self.diffuse, self.specular, self.exponent)
         self.serial = next(SERIALS)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
+        self.sampling = props.get("sampling", MIXTURE)
+        if self.sampling not in SAMPLINGS:
+            raise ValueError(f"{self.NAME}: 'sampling' must be {', '.join(SAMPLINGS)}, got '{self.sampling}'")
         self.scale, self.scale_array = 1.0, mi.Float(1)
         # Here Dr.Jit finds the table's array when it freezes a function; inside of a helper object it would not.
         self.albedo_ratios = None
@@ -91,18 +97,20 @@ class LobeBSDF(mi.BSDF):
 
         # Choose a lobe, then a direction.
         bs.eta = 1
-        if glossy:
+        by_cosine, by_lobe = self._strategies(diffuse, glossy)
+        if by_lobe:
             p = self.exponent.value_1(si, active)
-            choose_glossy = (sample1 < self._glossy_share(si, p, active)) if diffuse else True
+            choose_lobe = (sample1 < self._glossy_share(si, p, active)) if by_cosine else True
             bs.wo = self.lobe.sample(si.wi, p, sample2)
             bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
             bs.sampled_component = mi.UInt32(self.glossy_index)
-        if diffuse:
+        if by_cosine:
             wo = mi.warp.square_to_cosine_hemisphere(sample2)
-            kind, index = mi.UInt32(int(mi.BSDFFlags.DiffuseReflection)), mi.UInt32(self.diffuse_index)
-            bs.wo = dr.select(choose_glossy, bs.wo, wo) if glossy else wo
-            bs.sampled_type = dr.select(choose_glossy, bs.sampled_type, kind) if glossy else kind
-            bs.sampled_component = dr.select(choose_glossy, bs.sampled_component, index) if glossy else index
+            kind = mi.UInt32(int(mi.BSDFFlags.DiffuseReflection if diffuse else mi.BSDFFlags.GlossyReflection))
+            index = mi.UInt32(self.diffuse_index if diffuse else self.glossy_index)
+            bs.wo = dr.select(choose_lobe, bs.wo, wo) if by_lobe else wo
+            bs.sampled_type = dr.select(choose_lobe, bs.sampled_type, kind) if by_lobe else kind
+            bs.sampled_component = dr.select(choose_lobe, bs.sampled_component, index) if by_lobe else index
 
         # Where samples go is not differentiated, so neither is how many go there: E[weight] has the right derivative.
         bs.wo = dr.detach(bs.wo)
@@ -163,12 +171,19 @@ class LobeBSDF(mi.BSDF):
             if self.reflectances and glossy:
                 factor = lobes.reflectance_factor(self.lobe.normalization(p), cos_theta_o)
             f = dr.select(active, self._scaled(lobes.reflected(lobe, factor, cos_theta_o, kd, ks)), 0)
-        if pdf and glossy:
+        by_cosine, by_lobe = self._strategies(diffuse, glossy)
+        if pdf and by_lobe:
             density = self.lobe.pdf(si.wi, wo, p)
-        if pdf and diffuse:
+        if pdf and by_cosine:
             cosine = cos_theta_o * dr.inv_pi
-            density = dr.lerp(cosine, density, self._glossy_share(si, p, active)) if glossy else cosine
+            density = dr.lerp(cosine, density, self._glossy_share(si, p, active)) if by_lobe else cosine
         return mi.depolarizer(f), dr.select(active, density, 0)
+
+    def _strategies(self, diffuse: bool, glossy: bool) -> tuple[bool, bool]:
+        """Whether the cosine and whether the lobe draws directions, where these components are asked for."""
+        if self.sampling == COSINE:
+            return diffuse or glossy, False
+        return diffuse and (self.sampling == MIXTURE or not glossy), glossy
 
     def _scaled(self, value):
         return value * self.scale_array if self.conserves_energy else value

@@ -4,6 +4,7 @@ The templates in `templates/` extend `page.html`; `viewer.html` has the macro fo
 """
 
 import base64
+import importlib
 import io
 import re
 import zlib
@@ -23,15 +24,15 @@ INK = "#010203"
 LARGEST_HALF = 6e4
 
 
-def check_installed() -> None:
-    """Raise ImportError with the remedy where a package for pages is missing."""
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            f"the page needs the package {error.name}, which is not installed: pip install 'phong-bsdf[report]'"
-        ) from None
+def check_installed(*more: str) -> None:
+    """Raise ImportError with the remedy where a package for pages, or one of `more`, is missing."""
+    for package in ("jinja2", "matplotlib", *more):
+        try:
+            importlib.import_module(package)
+        except ImportError as error:
+            raise ImportError(
+                f"the page needs the package {error.name}, which is not installed: pip install 'phong-bsdf[report]'"
+            ) from None
 
 
 def write(path: Path, template: str, **context) -> None:
@@ -45,21 +46,27 @@ def write(path: Path, template: str, **context) -> None:
     replace_file(path, environment.get_template(template).render(**context))
 
 
-def viewer(pictures: Mapping[str, np.ndarray], difference_scale: float) -> dict[str, object]:
-    """Data of the picture viewer. The first picture is what the others are compared with.
+def viewer(
+    pictures: Mapping[str, np.ndarray], difference_scale: float, against: Mapping[str, str] | None = None
+) -> dict[str, object]:
+    """Data of the picture viewer. A picture is compared with that which `against` names, or with the first.
 
     Pixels are half floats: 3 digits. `difference_scale` is the difference that has the brightest colour.
     """
+    names, against = list(pictures), against or {}
+    bases = {name: against.get(name, name if name in against.values() else names[0]) for name in names}
     largest = max(float(np.max(np.abs(image), initial=0, where=np.isfinite(image))) for image in pictures.values())
     scale = max(largest / LARGEST_HALF, 1.0)
     return {
         "pictures": [
             {
-                "name": name, "height": image.shape[0], "width": image.shape[1], "channels": image.shape[2],
+                "name": name, "against": names.index(bases[name]),
+                "height": image.shape[0], "width": image.shape[1], "channels": image.shape[2],
                 "data": _base64(zlib.compress((image / scale).astype("<f2").tobytes(), 9)),
             }
             for name, image in pictures.items()
         ],
+        "base": names[0] if len(set(bases.values())) == 1 else "its reference",
         "scale": scale,
         "difference": difference_scale,
         "colours": _base64(colour_map().tobytes()),

@@ -41,7 +41,7 @@
   const encode = (x) => curve[x > 0 ? (x < 1 ? Math.round(16384 * x) : 16384) : 0];
 
   function draw() {
-    const gain = 2 ** exposure.value, picture = images[shown], first = images[0];
+    const gain = 2 ** exposure.value, picture = images[shown], first = images[data.pictures[shown].against];
     const split = mode.value === "wipe" ? Math.round((width * wipe.value) / 100) : 0;
     const out = frame.data;
     for (let i = 0; i < width * height; i++) {

@@ -1,0 +1,94 @@
+"""Measures the three scenes of docs/error-vs-time.md, and puts their plots, pictures and tables into it: `make study`.
+
+What is on disk in out/study is not measured again.
+"""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from phong_bsdf import conclusions, convergence, images, lobe_errors
+from phong_bsdf.passes import Store
+from phong_bsdf.report import convergence_tables, page
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs/error-vs-time.md"
+OUT = ROOT / "out/study"
+
+# Name -> arguments of `phong-bsdf converge`; the page shows the same.
+STUDIES = {
+    "mirror-floor": "scenes/lecture/mirror-floor.xml --size 120x80",
+    "glossy": "scenes/compare/balls.xml --size 128x96 --spp 1,4,16,64,256",
+    "lights": "scenes/converge/thousand-lights.xml --size 96x72 --spp 4,16,64,256,1024 --method path --method direct "
+    '--method path-multijitter --method "whitted=spp=1 4 16"',
+    "lobes": "--lobes --repeats 3",
+}
+
+# In the strip of pictures.
+SHOWN = {
+    "mirror-floor": ("reference whitted", "whitted", "reference path", "path", "direct", "path-lobe"),
+    "glossy": ("reference path", "path", "path-multijitter", "path-lobe", "direct", "path-ldsampler"),
+    "lights": ("reference whitted", "path", "direct", "path-multijitter", "whitted"),
+}
+
+
+def main():
+    """Measure, then write docs/images/study-*.png and .svg and the tables of the page."""
+    for name, arguments in STUDIES.items():
+        print(f"{name}:", flush=True)
+        command = [sys.executable, "-m", "phong_bsdf", "converge", *shlex.split(arguments), "-o", str(OUT / name)]
+        subprocess.run(command, check=True, cwd=ROOT)
+        if name == "lobes":
+            insert(name, lobe_table(lobe_errors.read(Store(OUT / name))))
+            continue
+        found, pictures = conclusions.conclude(Store(OUT / name), convergence.read_run(Store(OUT / name)))
+        image = strip(pictures, SHOWN[name], conclusions.against(found.run))
+        images.write(ROOT / f"docs/images/study-{name}.png", image)
+        plot = (OUT / name / "relmse.svg").read_text(encoding="utf-8")
+        images.replace_file(ROOT / f"docs/images/study-{name}.svg", plot)
+        insert(name, convergence_tables.equal_time_text(found))
+
+
+def strip(pictures, names, against) -> np.ndarray:
+    """Pictures side by side; below those of methods their errors, bright from 0.1 on."""
+    maps = []
+    for name in names:
+        difference = pictures[name] - pictures[against.get(name, name)]
+        colours = page.false_colours(difference, 0.1)
+        # The map's colours are those of a file already.
+        maps.append(np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4))
+    row = [pictures[name] for name in names]
+    return np.concatenate([np.concatenate(line, axis=1) for line in (row, maps)], axis=0).repeat(2, 0).repeat(2, 1)
+
+
+def lobe_table(found: lobe_errors.LobeErrors) -> str:
+    """Errors and times of the value, formula beside formula."""
+    from phong_bsdf.report import tables
+
+    rows = {(r.lobe, r.p, r.formula): r for r in found.rows if r.quantity == "value"}
+    lines = []
+    for lobe, p in dict.fromkeys((lobe, p) for lobe, p, _ in rows):
+        line = [lobe, f"{p:g}"]
+        for formula in lobe_errors.FORMULAS:
+            row = rows.get((lobe, p, formula))
+            line += [tables.number(row and row.error.value), tables.number(row and row.nanoseconds.median)]
+        lines.append(line)
+    headings = ("lobe", "p", *(f"{f} {what}" for f in lobe_errors.FORMULAS for what in ("error", "ns")))
+    return tables.text_table(headings, lines)
+
+
+def insert(name: str, table: str) -> None:
+    """Between the marks of the page."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(f"<!-- table {name} -->\n")
+    _, end, after = rest.partition("<!-- end of table -->\n")
+    if not end:
+        raise ValueError(f"{PAGE}: there is no place for the table '{name}'")
+    lines = "\n".join(line.rstrip() for line in table.split("\n"))
+    images.replace_file(PAGE, f"{before}<!-- table {name} -->\n```text\n{lines}```\n{end}{after}")
+
+
+if __name__ == "__main__":
+    main()

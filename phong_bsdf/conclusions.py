@@ -1,0 +1,215 @@
+"""The passes of a folder -> all there is to report: results, tables, rows, and the pictures at equal time."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import images, metrics, study
+from .convergence import MethodRun, ReferenceRun, Run
+from .passes import Pass, Store
+
+# HDR-FLIP of every pass, which takes longer than reading the passes: kept beside them.
+FLIPS = "flip.json"
+
+
+@dataclass(frozen=True)
+class ReferenceFacts:
+    """What the reports say about a reference."""
+
+    name: str
+    kind: str
+    passes: int
+    spp: int | None
+    """Samples per pixel of all passes together; None for a file."""
+    relmse: float | None
+    """Its own expected error, of a grid an upper bound; None where that is not known."""
+    mse: float | None
+    nonfinite: int
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture at equal time."""
+
+    method: str
+    spp: int
+    repeat: int
+    seconds: float
+    relmse: float | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One pass, with all that it depends on."""
+
+    scene: str
+    scene_hash: str
+    method: str
+    integrator: str
+    sampler: str
+    sampling: str
+    bsdf: str
+    reference: str
+    variant: str
+    spp: int
+    repeat: int
+    seed: int
+    seconds: float
+    seconds_warmup: float
+    relmse: float | None
+    relmse_low: float | None
+    """Confidence interval of the mean over the passes with as many samples."""
+    relmse_high: float | None
+    mse: float | None
+    mse_low: float | None
+    mse_high: float | None
+    max_error: float | None
+    max_error_low: float | None
+    max_error_high: float | None
+    flip: float | None
+    flip_low: float | None
+    flip_high: float | None
+    nonfinite: int
+    versions: str
+    machine: str
+    time: str
+
+
+@dataclass(frozen=True)
+class Conclusions:
+    """All there is to report."""
+
+    run: Run
+    results: tuple[study.Result, ...]
+    references: tuple[ReferenceFacts, ...]
+    equal_time: study.Table
+    equal_error: study.Table
+    rows: tuple[Row, ...]
+    picture_seconds: float | None
+    """The time that the pictures were chosen for."""
+    shown: tuple[Shown, ...]
+    missing: int
+    """Passes that were not made, those of failed methods aside."""
+
+
+def conclude(
+    store: Store, run: Run, on_progress: Callable[[str, float], None] = lambda what, share: None
+) -> tuple[Conclusions, dict[str, np.ndarray]]:
+    """The conclusions, and the pictures: references by name, then one of each method."""
+    references = {reference.name: _reference(store, reference) for reference in run.references}
+    results, rows, seconds, missing = [], [], {}, 0
+    for i, method in enumerate(run.methods):
+        on_progress(f"errors of {method.name}", i / len(run.methods))
+        result, made = _result(store, run, method, references.get(method.limit))
+        results.append(result)
+        rows += _rows(run, method, result, made)
+        seconds[method.name] = {(p.spp, p.repeat): p.seconds for p in made}
+        missing += 0 if result.failure else run.repeats * len(method.levels) - len(made)
+    measured = [result for result in results if result.levels]
+    time, shown = _at_equal_time(measured)
+    keys = {method.name: (method.key, method.limit) for method in run.methods}
+    used = {keys[s.method][1] for s in shown}
+    pictures = {f"reference {name}": references[name].mean.astype(np.float32) for name in references if name in used}
+    for s in shown:
+        key = keys[s.method][0]
+        record = next(p for p in store.list(key) if (p.spp, p.repeat) == (s.spp, s.repeat))
+        pictures[s.method] = store.image(key, record)
+    facts = tuple(_facts(reference, references.get(reference.name)) for reference in run.references)
+    found = Conclusions(
+        run, tuple(results), facts, study.equal_time(measured), study.equal_error(measured, seconds),
+        tuple(rows), time, shown, missing,
+    )  # fmt: skip
+    return found, pictures
+
+
+def against(run: Run) -> dict[str, str]:
+    """Picture of a method -> picture of its reference."""
+    return {method.name: f"reference {method.limit}" for method in run.methods}
+
+
+def _reference(store: Store, reference: ReferenceRun) -> study.Reference | None:
+    """None where nothing of it is there."""
+    if reference.kind == "file":
+        return study.Reference(reference.name, [metrics.colors(images.read_exr(reference.file))], kind="file")
+    # Earlier runs may have made passes for other levels.
+    made = [p for p in store.list(reference.key) if p.spp in reference.levels]
+    if reference.kind == "grid":
+        pictures = {p.spp: store.image(reference.key, p) for p in made}
+        fine, coarse = (pictures.get(spp) for spp in reference.levels)
+        return None if fine is None else study.Reference(reference.name, [fine], coarse, "grid")
+    return study.Reference(reference.name, [store.image(reference.key, p) for p in made]) if made else None
+
+
+def _result(store: Store, run: Run, method: MethodRun, reference) -> tuple[study.Result, list[Pass]]:
+    made = [p for p in store.list(method.key) if p.spp in method.levels and p.repeat < run.repeats]
+    failure = store.failure(method.key)
+    if reference is None and failure is None:
+        failure = "its reference has not been rendered yet"
+    if failure is not None:
+        return study.failed(method.name, method.limit, failure), []
+    if not made:
+        return study.failed(method.name, method.limit, "no pass has been made yet"), []
+    pairs = [(p, store.image(method.key, p)) for p in made]
+    if pairs[0][1].shape != reference.mean.shape:
+        (height, width), (h, w) = pairs[0][1].shape[:2], reference.mean.shape[:2]
+        reason = f"its pictures are {width} x {height}, the reference is {w} x {h}"
+        return study.failed(method.name, method.limit, reason), []
+    return study.analyse(method.name, pairs, reference, _flips(store, method, reference, pairs)), made
+
+
+def _flips(store: Store, method: MethodRun, reference: study.Reference, pairs) -> dict[tuple[int, int], float]:
+    """HDR-FLIP of each pass: kept in a file, as long as the reference is the same."""
+    if not metrics.has_flip() or reference.nonfinite:
+        return {}
+    path = store.folder / FLIPS
+    kept = json.loads(path.read_text()) if path.is_file() else {}
+    # More passes of a reference are another picture.
+    name = f"{method.key} against {reference.name}, {reference.passes}, {float(reference.mean.mean()):.9g}"
+    known = kept.setdefault(name, {})
+    missing = [(p, image) for p, image in pairs if f"{p.spp}/{p.repeat}" not in known and not metrics.nonfinite(image)]
+    for p, image in missing:
+        known[f"{p.spp}/{p.repeat}"] = metrics.flip(image.astype(np.float64), reference.mean)
+    if missing:
+        images.replace_file(path, json.dumps(kept, indent=0) + "\n")
+    return {(p.spp, p.repeat): known[f"{p.spp}/{p.repeat}"] for p, _ in pairs if f"{p.spp}/{p.repeat}" in known}
+
+
+def _at_equal_time(results: list[study.Result]) -> tuple[float | None, tuple[Shown, ...]]:
+    """A picture of each method after about the longest time that all of them were given."""
+    if not results:
+        return None, ()
+    time = min(max(level.seconds.median for level in result.levels) for result in results)
+    shown = []
+    for result in results:
+        level = min(result.levels, key=lambda level: abs(math.log(level.seconds.median / time)))
+        first = min((e for e in result.passes if e.spp == level.spp), key=lambda e: e.repeat)
+        shown.append(Shown(result.name, level.spp, first.repeat, level.seconds.median, first.relmse))
+    return time, tuple(shown)
+
+
+def _rows(run: Run, method: MethodRun, result: study.Result, made: list[Pass]) -> Iterator[Row]:
+    levels = {level.spp: level for level in result.levels}
+    errors = {(e.spp, e.repeat): e for e in result.passes}
+    spec = method.spec
+    for p in made:
+        level, error = levels[p.spp], errors[p.spp, p.repeat]
+        numbers = []
+        for metric in study.METRICS:
+            of_level = getattr(level, metric)
+            numbers += [getattr(error, metric), of_level and of_level.low, of_level and of_level.high]
+        yield Row(
+            run.scene, run.scene_hash, method.name, spec["integrator"] or run.integrator, spec["sampler"],
+            spec["sampling"], spec["bsdf"], method.limit, p.variant, p.spp, p.repeat, p.seed, p.seconds,
+            p.seconds_warmup, *numbers, error.nonfinite, p.versions, p.machine, p.time,
+        )  # fmt: skip
+
+
+def _facts(run: ReferenceRun, reference: study.Reference | None) -> ReferenceFacts:
+    if reference is None:
+        return ReferenceFacts(run.name, run.kind, 0, 0, None, None, 0)
+    own, used = reference.own_error, run.levels[: reference.passes]
+    spp = sum(used) if used else None
+    return ReferenceFacts(run.name, run.kind, reference.passes, spp, own["relmse"], own["mse"], reference.nonfinite)

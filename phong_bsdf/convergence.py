@@ -1,0 +1,229 @@
+"""What a study of error against time renders: methods, numbers of samples, references; checked, not rendered."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+
+from . import __version__, images, methods, passes, rendering
+from .passes import Store
+
+LEVELS = (1, 4, 16, 64)
+REPEATS = 5
+
+# The reference of random methods: with 32 times the samples of the finest level, its noise is 3 % of that level's.
+REFERENCE_PASSES = 16
+REFERENCE_SPP = 2
+# The reference of a grid: so many times as many samples across. A power of two, so that no sample is on a coarser grid.
+REFERENCE_GRID = 4
+# Of methods without a grid, as if they had one of so many samples.
+LEAST_GRID = 16
+
+
+@dataclass(frozen=True)
+class MethodRun:
+    """A method of a run."""
+
+    name: str
+    spec: Mapping[str, object]
+    key: str
+    limit: str
+    """The reference's name."""
+    levels: tuple[int, ...]
+    """Samples per pixel, as the sampler rounds them."""
+
+
+@dataclass(frozen=True)
+class ReferenceRun:
+    """A picture that methods are measured against."""
+
+    name: str
+    key: str
+    kind: str
+    """`passes` of different seeds, a `grid`, or a `file`."""
+    levels: tuple[int, ...]
+    """Samples per pixel of each pass; of a grid, its own and that of half as many across, which tells its error."""
+    file: str = ""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is measured, as `run.json` keeps it."""
+
+    scene: str
+    scene_hash: str
+    integrator: str
+    variant: str
+    camera: int
+    levels: tuple[int, ...]
+    repeats: int
+    seed: int
+    methods: tuple[MethodRun, ...]
+    references: tuple[ReferenceRun, ...]
+    versions: str
+    machine: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be rendered: checked, but not loaded."""
+
+    path: Path
+    states: Mapping[str, object]
+    """Key -> parsed scene."""
+    size: tuple[int, int] | None
+    run: Run
+
+
+def plan(
+    path: Path,
+    defines: Mapping[str, str] | None = None,
+    *,
+    given: Sequence[tuple[str, Mapping[str, object]]] = (),
+    levels: Sequence[int] = LEVELS,
+    repeats: int = REPEATS,
+    camera: int = 1,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    reference: Path | None = None,
+) -> Plan:
+    """What to render; ValueError where that is not possible. `given`: methods as (name, specification).
+
+    `reference`: an EXR file that all methods are measured against, instead of their own limits.
+    """
+    scene = methods.read(path, defines)
+    film = _film_size(scene, camera, size)
+    if reference is not None:
+        _check_reference(reference, film)
+    chosen = methods.chosen(scene, given)
+    limits = {method.name: methods.limit(scene, method) for method in chosen}
+    real = {method.name: _rounded(scene, method, method.levels or levels) for method in chosen}
+    context = [scene_hash := _scene_hash(scene), camera, size, mi.variant(), seed, versions()]
+    machine = passes.machine(dr.thread_count())
+    states = {}
+
+    def key(method: methods.Method, *more) -> str:
+        made = f"{method.name}-{passes.digest([*context, method.spec(), *more])}"
+        states[made] = methods.applied(scene, method)
+        return made
+
+    runs = tuple(
+        MethodRun(m.name, m.spec(), key(m, machine), Path(reference or limits[m.name].name).name, real[m.name])
+        for m in chosen
+    )
+    if reference is not None:
+        file = Path(reference).resolve()
+        references = [ReferenceRun(Path(reference).name, _file_hash(file)[:12], "file", (), str(file))]
+    else:
+        references = [
+            _reference(scene, limit, [(m, max(real[m.name])) for m in chosen if limits[m.name] == limit], key)
+            for limit in {limit.name: limit for limit in limits.values()}.values()
+        ]
+    run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
+              runs, tuple(references), versions(), machine)  # fmt: skip
+    return Plan(Path(path), states, size, run)
+
+
+def versions() -> str:
+    """All that a picture depends on besides its scene."""
+    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}"
+
+
+def reference_grid(spp: int) -> int:
+    """Samples across of the grid that methods with up to `spp` samples are measured against."""
+    return 2 ** math.ceil(math.log2(REFERENCE_GRID * math.sqrt(spp)))
+
+
+def _reference(scene: methods.Scene, limit: methods.Method, finest: Sequence[tuple], key) -> ReferenceRun:
+    """`finest`: the methods with this limit, each with its most samples. `key` makes the key of a method."""
+    if methods.integrator_of(scene, limit) == methods.WHITTED:
+        grids = [spp for method, spp in finest if methods.integrator_of(scene, method) == methods.WHITTED]
+        across = reference_grid(max(grids, default=LEAST_GRID))
+        return ReferenceRun(limit.name, key(limit, "reference"), "grid", (across**2, (across // 2) ** 2))
+    spp = REFERENCE_SPP * max(spp for _, spp in finest)
+    return ReferenceRun(limit.name, key(limit, "reference"), "passes", (spp,) * REFERENCE_PASSES)
+
+
+def _rounded(scene: methods.Scene, method: methods.Method, levels: Sequence[int]) -> tuple[int, ...]:
+    """The numbers of samples that the method takes when asked for `levels`."""
+    grid = methods.integrator_of(scene, method) == methods.WHITTED
+    before = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        sampler = mi.load_dict({"type": method.sampler})
+        real = []
+        for spp in sorted(levels):
+            sampler.set_sample_count(spp)
+            real.append(spp if grid and math.isqrt(spp) ** 2 == spp else int(sampler.sample_count()))
+        return tuple(dict.fromkeys(real))
+    finally:
+        mi.set_log_level(before)
+
+
+def _scene_hash(scene: methods.Scene) -> str:
+    """Of all that the scene says, its defines put in, and of every file that it names."""
+    files = {}
+    for node in scene.state.nodes:
+        for name in node.props.keys():  # noqa: SIM118
+            value = node.props[name] if node.props.type(name) == mi.Properties.Type.String else ""
+            file = scene.path.parent / value if value else None
+            if file and file.is_file():
+                files[value] = _file_hash(file)
+    text = mi.parser.write_string(scene.state)
+    return passes.digest([text, files])
+
+
+def _file_hash(path: Path) -> str:
+    """All 64 digits."""
+    try:
+        return passes.digest(Path(path).read_bytes().hex(), 64)
+    except OSError as error:
+        raise ValueError(f"'{path}' cannot be read: {error.strerror}") from None
+
+
+def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) -> tuple[int, int]:
+    """Width and height of the pictures; SceneError where there is no such camera."""
+    sensors = [node.props for node in scene.state.nodes if node.type == mi.ObjectType.Sensor]
+    if not 1 <= camera <= len(sensors):
+        raise rendering.SceneError(f"{scene.path}: there is no camera {camera}, the scene has {len(sensors)}")
+    if size:
+        return size
+    nodes = (scene.state.nodes[i] for i in methods.children(sensors[camera - 1]))
+    film = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
+    width, height = (film.get(name, default) for name, default in (("width", 768), ("height", 576)))
+    return film.get("crop_width", width), film.get("crop_height", height)
+
+
+def _check_reference(path: Path, size: tuple[int, int]) -> None:
+    """ValueError where the file is no EXR picture of this size."""
+    try:
+        height, width = images.read_exr(path).shape[:2]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ValueError(f"converge: the reference '{path}' cannot be read as EXR: {error}") from None
+    if (width, height) != size:
+        raise ValueError(f"converge: the reference '{path}' is {width} x {height}, the pictures are "
+                         f"{size[0]} x {size[1]}; choose them with --size")  # fmt: skip
+
+
+def write_run(store: Store, run: Run) -> None:
+    """Keep what is measured, for `--from`."""
+    store.claim(passes.RUN)
+    images.replace_file(store.folder / passes.RUN, json.dumps(asdict(run), indent=1) + "\n")
+
+
+def read_run(store: Store) -> Run:
+    """The run of a folder; ValueError where there is none."""
+    path = store.folder / passes.RUN
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"'{store.folder}': there is no {passes.RUN} here, so no measurement to draw") from None
+    tuples = {"methods": MethodRun, "references": ReferenceRun}
+    for name, kind in tuples.items():
+        items = ({**item, "levels": tuple(item["levels"])} for item in data[name])
+        data[name] = tuple(kind(**item) for item in items)
+    return Run(**{**data, "levels": tuple(data["levels"])})

@@ -1,0 +1,138 @@
+"""Renderings of one study on disk: a pass is one EXR file that holds its own record, written whole or not at all.
+
+Nothing is ever changed or deleted, so a run that ends at any moment, however it ends, leaves what it has
+finished, and the next run goes on from there.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import images
+
+# What a folder holds: a run of methods, or one of the lobes' formulas.
+RUN, LOBES = "run.json", "lobes.json"
+RECORD = "pass"
+FAILURE = "failure.txt"
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What one rendering took, and under which conditions."""
+
+    spp: int
+    seed: int
+    repeat: int
+    seconds: float
+    """Of a rendering whose kernels were compiled before."""
+    seconds_warmup: float
+    """What the rendering before that one took longer, if it was the scene's first or had to compile; else 0."""
+    variant: str
+    versions: str
+    machine: str
+    time: str
+    """When it was finished, UTC."""
+
+
+class Store:
+    """A folder of passes: a folder for each key, a file for each pass."""
+
+    def __init__(self, folder: Path):
+        self.folder = Path(folder)
+        self.passes = self.folder / "passes"
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator["Store"]:
+        """The store, for one process at a time; ValueError where another one writes to it."""
+        self.passes.mkdir(parents=True, exist_ok=True)
+        with open(self.passes / ".lock", "w") as lock:
+            _lock(lock, self.folder)
+            # Of passes that were being written when a process was killed.
+            for leftover in self.passes.glob("*/.*.exr"):
+                leftover.unlink()
+            yield self
+
+    def claim(self, kind: str) -> None:
+        """ValueError where the folder holds what is not of this kind, `RUN` or `LOBES`."""
+        other = LOBES if kind == RUN else RUN
+        if (self.folder / other).exists():
+            held = "the lobes' formulas" if other == LOBES else "a scene"
+            raise ValueError(f"'{self.folder}' holds measurements of {held} already; choose another folder")
+
+    def has(self, key: str, spp: int, repeat: int) -> bool:
+        """Whether the pass has been made."""
+        return self._path(key, spp, repeat).is_file()
+
+    def add(self, key: str, made: Pass, image: np.ndarray) -> None:
+        """Write a pass; OSError where the disk is full."""
+        path = self._path(key, made.spp, made.repeat)
+        path.parent.mkdir(exist_ok=True)
+        images.write(path, image, metadata={RECORD: json.dumps(dataclasses.asdict(made))})
+
+    def list(self, key: str) -> list[Pass]:
+        """The records of all passes of a key, by samples, then repeats."""
+        return [self._read(path) for path in sorted((self.passes / key).glob("*-spp-repeat-*.exr"))]
+
+    def image(self, key: str, made: Pass) -> np.ndarray:
+        """The picture of a pass, float32."""
+        return images.read_exr(self._path(key, made.spp, made.repeat))
+
+    def failure(self, key: str) -> str | None:
+        """Why the method's last run failed; None if it did not."""
+        path = self.passes / key / FAILURE
+        return path.read_text(encoding="utf-8").strip() if path.is_file() else None
+
+    def set_failure(self, key: str, reason: str | None) -> None:
+        """Keep, or forget, why a method failed."""
+        path = self.passes / key / FAILURE
+        if reason is None:
+            path.unlink(missing_ok=True)
+            return
+        path.parent.mkdir(exist_ok=True)
+        images.replace_file(path, reason + "\n")
+
+    @staticmethod
+    def _read(path: Path) -> Pass:
+        try:
+            return Pass(**json.loads(images.read_metadata(path)[RECORD]))
+        except (RuntimeError, KeyError, TypeError, ValueError):
+            raise ValueError(f"'{path}' is no pass that this version wrote; delete it") from None
+
+    def _path(self, key: str, spp: int, repeat: int) -> Path:
+        return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"
+
+
+def digest(value: object, length: int = 12) -> str:
+    """A short hash of what JSON can hold."""
+    text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def machine(threads: int) -> str:
+    """What times depend on, in words."""
+    model = platform.processor()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return ", ".join(filter(None, (platform.machine(), model, f"{cores} cores", f"{threads} threads")))
+
+
+def _lock(file, folder: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:
+        # No such locks on Windows; two runs at once would only do work twice.
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise ValueError(f"'{folder}': another run is writing there; wait for it, or choose another folder") from None
