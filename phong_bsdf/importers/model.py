@@ -1,0 +1,2 @@
+def convert_model():
+    pass

@@ -1,0 +1,68 @@
+"""What a conversion did: one record for each change and for each loss."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+CHANGE, LOSS = "change", "loss"
+
+
+class ConversionError(ValueError):
+    """A file that cannot be converted, or must not be. The message names the file and, where there is one, the line."""
+
+
+@dataclass(frozen=True, order=True)
+class Record:
+    """One thing that the new scene says in another way, or does not say."""
+
+    file: str
+    line: int
+    """Counted from 1; 0 where the record is about the whole file."""
+    kind: str
+    """`change`: the same meaning in other words. `loss`: something could not be carried over, or only nearly."""
+    what: str
+    why: str
+
+    def __str__(self):
+        place = f"{self.file}, line {self.line}" if self.line else self.file
+        return f"{place}: {self.what}: {self.why}"
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A new scene, and the story of how it came about."""
+
+    output: Path
+    files: tuple[Path, ...]
+    """Every file that was written, the scene first."""
+    records: tuple[Record, ...]
+    """In the order of the file, included files after it."""
+
+    @property
+    def changes(self) -> tuple[Record, ...]:
+        """The same meaning in other words."""
+        return tuple(record for record in self.records if record.kind == CHANGE)
+
+    @property
+    def losses(self) -> tuple[Record, ...]:
+        """What could not be carried over, or only nearly."""
+        return tuple(record for record in self.records if record.kind == LOSS)
+
+
+class Journal:
+    """Collects the records of one conversion; the same record counts once."""
+
+    def __init__(self):
+        self._records: dict[Record, None] = {}
+
+    def change(self, place, what: str, why: str) -> None:
+        """Note a change at `place`, a pair of file name and line."""
+        self._records[Record(*place, CHANGE, what, why)] = None
+
+    def loss(self, place, what: str, why: str) -> None:
+        """Note a loss at `place`, a pair of file name and line."""
+        self._records[Record(*place, LOSS, what, why)] = None
+
+    def records(self) -> tuple[Record, ...]:
+        """All records, by file in the order in which the files were read, then by line."""
+        files = list(dict.fromkeys(record.file for record in self._records))
+        return tuple(sorted(self._records, key=lambda r: (files.index(r.file), r.line)))
