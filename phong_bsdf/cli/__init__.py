@@ -4,6 +4,7 @@ import click
 
 from .. import __version__
 from .compare import compare
+from .convert import convert
 from .doctor import doctor
 from .render import render
 from .stability import stability
@@ -15,5 +16,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, compare, stability, doctor):
+for command in (render, convert, compare, stability, doctor):
     main.add_command(command)

@@ -6,6 +6,6 @@ changed, and what could not be carried over, line by line.
 
 from .legacy import convert_scene
 from .model import convert_model
-from .records import Conversion, ConversionError, Record
+from .records import Conversion, ConversionError, Record, story
 
-__all__ = ["Conversion", "ConversionError", "Record", "convert_model", "convert_scene"]
+__all__ = ["Conversion", "ConversionError", "Record", "convert_model", "convert_scene", "story"]

@@ -35,13 +35,14 @@ def rewrite(context: Context) -> None:
                 _conserve(node, context)
 
 
-def nested(node: Node) -> list[Node]:
+def nested(node: Node, context: Context) -> list[Node]:
     """The BSDFs, and references to them, inside of a BSDF."""
-    return [child for child in node.nodes if child.tag == "bsdf" or (child.tag == "ref" and not _is_texture(child))]
+    return [child for child in node.nodes if child.tag == "bsdf" or (child.tag == "ref" and not _is_texture(child, context))]
 
 
-def _is_texture(ref: Node) -> bool:
-    return bool(ref.name) and ref.name not in ("bsdf", "nested")
+def _is_texture(ref: Node, context: Context) -> bool:
+    """Whether a reference is to a texture."""
+    return context.dereference(ref).tag != "bsdf"
 
 
 # Plastics, coatings, metals ------------------------------------------------------------------------------
@@ -84,7 +85,7 @@ def _torrey_plastic(node: Node, context: Context) -> None:
 def _coating(node: Node, context: Context) -> None:
     """A layer of glass over another BSDF: only `plastic` and `roughplastic` know one."""
     rough = node.type == "roughcoating"
-    inside = nested(node)
+    inside = nested(node, context)
     if len(inside) != 1:
         raise ConversionError(f"{node.file}, line {node.line}: '{node.type}' needs one BSDF inside, has {len(inside)}")
     base = context.dereference(inside[0])
@@ -129,12 +130,21 @@ def _index(node: Node | None, default: float) -> float:
     return number(node)
 
 
+def _metal_of_0_6(node: Node, context: Context) -> None:
+    """0.6's metals are copper unless they say otherwise; Mitsuba 3's are perfect mirrors."""
+    if not any(node.find_named(name) is not None for name in ("material", "eta", "k")):
+        node.add("string", name="material", value="Cu")
+        context.journal.change(node.place, f"'{node.type}' without material", "now copper, the default of Mitsuba 0.6")
+    if node.type == "roughconductor":
+        _rough(node, context)
+
+
 # Mixtures ------------------------------------------------------------------------------------------------
 
 
 def _mixture(node: Node, context: Context) -> None:
     """A weighted sum of any number of BSDFs: nested pairs of `blendbsdf`."""
-    weights_node, parts = node.take("weights"), nested(node)
+    weights_node, parts = node.take("weights"), nested(node, context)
     weights = numbers(weights_node.get("value", ""), weights_node) if weights_node is not None else []
     if len(weights) != len(parts) or not parts or min(weights) < 0 or sum(weights) <= 0:
         raise ConversionError(
@@ -304,10 +314,22 @@ def _only_diffuse(node: Node, context: Context) -> None:
 
 def _normalmap(node: Node, context: Context) -> None:
     for child in node.nodes:
-        if child.tag == "texture" or (child.tag == "ref" and _is_texture(child)):
+        if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context)):
             child.set("name", "normalmap")
             if child.tag == "texture" and child.type == "bitmap" and child.find_named("raw") is None:
                 child.add("boolean", name="raw", value="true")
+
+
+def _bumpmap(node: Node, context: Context) -> None:
+    """Mitsuba 3 knows the slopes of images only."""
+    textures = [child for child in node.nodes if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context))]
+    if any(context.dereference(texture).type == "bitmap" for texture in textures):
+        return
+    inside = nested(node, context)
+    if len(inside) == 1:
+        what = f"bumps of a '{context.dereference(textures[0]).type}'" if textures else "'bumpmap' without a texture"
+        context.journal.loss(node.place, what, "left out: Mitsuba 3 bends surfaces by images only")
+        node.become(context.dereference(inside[0]))
 
 
 def _conserve(node: Node, context: Context) -> None:
@@ -324,7 +346,8 @@ RULES = {
     "diffuse": _diffuse,
     "roughdiffuse": _diffuse,
     "roughplastic": _rough,
-    "roughconductor": _rough,
+    "conductor": _metal_of_0_6,
+    "roughconductor": _metal_of_0_6,
     "roughdielectric": _rough,
     "plastic": _torrey_plastic,
     "coating": _coating,
@@ -339,5 +362,6 @@ RULES = {
     "difftrans": _only_diffuse,
     "hk": _only_diffuse,
     "irawan": _only_diffuse,
+    "bumpmap": _bumpmap,
     "normalmap": _normalmap,
 }

@@ -81,6 +81,12 @@ PLUGINS = {
     "phase": {"isotropic": "", "hg": "g", "rayleigh": "", "blendphase": "weight", "sggx": "S"},
 }  # fmt: skip
 
+# Parameters of old that no picture depends on.
+WITHOUT_EFFECT = (
+    "banner", "attach_log", "high_quality_edges", "cache", "max_anisotropy", "specular_sampling_weight",
+    "granularity", "method", "collapse", "render_time_limit",
+)  # fmt: skip
+
 # What an unknown plugin becomes; None: it is left out.
 FALLBACKS = {
     "bsdf": "diffuse", "integrator": "path", "sampler": "independent", "film": "hdrfilm", "rfilter": "gaussian",
@@ -128,7 +134,14 @@ def _parameters(node, context: Context) -> None:
             context.journal.loss(child.place, f"<{child.tag}>", f"left out: no part of {node.tag} '{node.type}'")
         elif _is_parameter(child, context) and not _belongs(child, node, known.split()):
             node.remove(child)
-            context.journal.loss(child.place, f"'{child.name}' of '{node.type}'", "left out: the plugin has no such parameter")
+            without_effect = child.name in WITHOUT_EFFECT or child.name.startswith("label") or node.tag == "sampler"
+            note = context.journal.change if without_effect or _is_of_method(node) else context.journal.loss
+            note(child.place, f"'{child.name}' of '{node.type}'", "left out: the plugin has no such parameter")
+
+
+def _is_of_method(node) -> bool:
+    """Whether parameters only say how the same picture is found."""
+    return node.tag == "integrator" and node.type in ("path", "volpath")
 
 
 def _is_parameter(child, context: Context) -> bool:

@@ -106,7 +106,7 @@ class Materials:
         if not shiny:
             made.add("float", name=ks, value="0")
             return made
-        made.append(self.maps.color(material, "ks", ks, self._specular(material), gain, made))
+        made.append(self.maps.color(material, "ks", ks, DEFAULTS["ks"], gain, made))
         exponent = material.values.get("ns")
         if exponent is None and self._is_shiny(material):
             self.journal.change(material.place(), f"'{material.name}' without Ns", f"its exponent is taken as {EXPONENT:g}")
@@ -158,7 +158,7 @@ class Materials:
         strength = material.values.get("ks", self._specular(material))
         if "ks" in material.maps:
             self.journal.loss(material.place("map ks"), f"mirror '{material.name}' with map_Ks", "its lit part is diminished by the mirror")
-            km.append(self.maps.color(material, "ks", "km", self._specular(material), 1.0, km, upper=1.0))
+            km.append(self.maps.color(material, "ks", "km", DEFAULTS["ks"], 1.0, km, upper=1.0))
             self._lit(km, material, shiny=True)
             return
         limited = [min(max(s, 0.0), STRONGEST_MIRROR) for s in strength]

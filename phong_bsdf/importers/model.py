@@ -19,7 +19,9 @@ from .xmlfile import Node
 
 CAMERAS = ("auto", "none")
 WIDTH, HEIGHT, SPP = 640, 480, 4
-FOV = 35.0
+FOV, MARGIN = 45.0, 1.06
+# Everything is in view in pictures of 16:9, and in all that are less wide.
+LOWEST = 9 / 16
 
 # From the model to the camera: from the front, a little from the right and from above.
 VIEW = (0.45, 0.35, 1.0)
@@ -139,16 +141,17 @@ def _settings(scene: Node, vocabulary: str, glows: bool) -> None:
 
 
 def _camera(scene: Node, points: np.ndarray) -> None:
-    """A camera that sees all points: outside of their bounding sphere, which it has in its view."""
-    low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
-    centre = (low + high) / 2
+    """A camera that sees all points."""
+    centre = (points.min(axis=0).astype(float) + points.max(axis=0)) / 2
+    x, y, z = ((points - centre) @ _camera_frame().T).T
+    slope = math.tan(math.radians(FOV / 2)) / MARGIN
     radius = float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
-    distance = 1.02 * radius / math.sin(math.radians(FOV / 2))
+    distance = max(float((np.maximum(np.abs(x), np.abs(y) / LOWEST) / slope - z).max()), 1.01 * radius)
     eye = centre + distance * np.array(VIEW) / np.linalg.norm(VIEW)
     sensor = scene.add("sensor", type="perspective")
-    sensor.add("string", name="fov_axis", value="smaller")
+    sensor.add("string", name="fov_axis", value="x")
     sensor.add("float", name="fov", value=f"{FOV:g}")
-    for name, value in (("near_clip", (distance - radius) / 10), ("far_clip", (distance + radius) * 10)):
+    for name, value in (("near_clip", (distance - radius) / 2), ("far_clip", (distance + radius) * 10)):
         sensor.add("float", name=name, value=f"{value:.7g}")
     transform = sensor.add("transform", name="to_world")
     transform.add("lookat", origin=_triple(eye), target=_triple(centre), up="0, 1, 0")
@@ -163,10 +166,7 @@ def _camera(scene: Node, points: np.ndarray) -> None:
 
 def _lights(scene: Node, unit: float) -> None:
     """One light over the camera's left shoulder, a faint one from its right, and a grey background for the mirrors."""
-    toward = -np.array(VIEW) / np.linalg.norm(VIEW)
-    right = np.cross(toward, [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    frame = np.stack([right, np.cross(right, toward), toward])
+    frame = _camera_frame()
     for direction, strength in (KEY_LIGHT, FILL_LIGHT):
         light = scene.add("emitter", type="directional")
         x, y, z = np.array(direction) @ frame
@@ -174,6 +174,14 @@ def _lights(scene: Node, unit: float) -> None:
         light.add("rgb", name="irradiance", value=f"{strength * unit:.7g}")
     light = scene.add("emitter", type="constant")
     light.add("rgb", name="radiance", value=f"{BACKGROUND:g}")
+
+
+def _camera_frame() -> np.ndarray:
+    """The camera's unit vectors as rows: right, up, toward the model."""
+    toward = -np.array(VIEW) / np.linalg.norm(VIEW)
+    right = np.cross(toward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, toward), toward])
 
 
 def _triple(v) -> str:

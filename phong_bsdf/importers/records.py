@@ -66,3 +66,21 @@ class Journal:
         """All records, by file in the order in which the files were read, then by line."""
         files = list(dict.fromkeys(record.file for record in self._records))
         return tuple(sorted(self._records, key=lambda r: (files.index(r.file), r.line)))
+
+
+def story(conversion: Conversion) -> str:
+    """The records as text for a reader: what changed, what was lost, what was written."""
+    lines = []
+    for title, records in (
+        ("Said in other words:", conversion.changes),
+        ("Not carried over, or only nearly:", conversion.losses),
+    ):
+        lines += [title, *(f"  {record}" for record in records), ""] if records else []
+    others = len(conversion.files) - 1
+    beside = f", {others} file{'s' * (others != 1)} in {conversion.files[1].parent}" if others else ""
+    counts = f"{_count(conversion.changes, 'change', 'changes')}, {_count(conversion.losses, 'loss', 'losses')}"
+    return "\n".join([*lines, f"{conversion.output}: {counts}{beside}", ""])
+
+
+def _count(records, one: str, many: str) -> str:
+    return f"{len(records)} {one if len(records) == 1 else many}"
