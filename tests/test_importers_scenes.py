@@ -160,7 +160,7 @@ CASES = {
     "halton": (
         '<sensor type="perspective"><sampler type="halton"><integer name="scramble" value="1"/>'
         '<integer name="sampleCount" value="9"/></sampler></sensor>',
-        '<sampler type="multijitter"><integer name="sample_count" value="9"/></sampler>', False,
+        '<sampler type="multijitter"><integer name="sample_count" value="$spp"/></sampler>', False,
     ),
     "rfilter": (
         '<sensor type="perspective"><film type="hdrfilm"><rfilter type="mitchell"><float name="B" value="0.3"/>'
@@ -192,7 +192,7 @@ CASES = {
     ),
     "sky": (
         '<emitter type="sky"><float name="turbidity" value="4"/><vector name="sunDirection" x="0" y="1" z="0"/></emitter>',
-        '<emitter type="sunsky"><float name="turbidity" value="4"/><vector name="sun_direction" x="0" y="0" z="1"/>'
+        '<emitter type="sunsky"><float name="turbidity" value="4"/><vector name="sun_direction" x="0" y="1" z="0"/>'
         '<float name="sun_scale" value="0"/><transform name="to_world"><rotate x="1" angle="-90"/></transform>', True,
     ),
     "collimated": ('<emitter type="collimated"/>', '<integrator type="direct"/>', True),
@@ -200,7 +200,8 @@ CASES = {
     "heightfield": ('<shape type="heightfield"/>', '<integrator type="direct"/>', True),
     "medium": (
         '<medium type="homogeneous" id="m"><rgb name="sigmaS" value="1 2 3"/><spectrum name="sigmaA" value="1"/></medium>',
-        '<rgb name="sigma_t" value="2, 3, 4"/><rgb name="albedo" value="0.5, 0.6666667, 0.75"/>', False,
+        '<rgb name="sigma_t" value="0.5, 0.75, 1"/><rgb name="albedo" value="0.5, 0.6666667, 0.75"/>'
+        '<float name="scale" value="4"/>', False,
     ),
     "animation": (
         '<shape type="sphere"><animation name="toWorld"><transform time="0"><translate x="1"/></transform>'
@@ -279,7 +280,7 @@ def test_nothing_to_change(convert):
 def test_version_0_2(convert):
     """Names of 0.2: lambertian, microfacet with amounts, luminaire, camera with the old lookAt, films."""
     result, text, _ = convert(
-        '<camera type="perspective"><float name="focusDepth" value="3"/><boolean name="mapSmallerSide" value="false"/>'
+        '<camera type="perspective"><float name="fov" value="40"/><float name="focusDepth" value="3"/><boolean name="mapSmallerSide" value="false"/>'
         '<transform name="toWorld"><lookAt ox="0" oy="0" oz="4" tx="0" ty="0" tz="0" ux="0" uy="1" uz="0"/></transform>'
         '<film type="exrfilm"><boolean name="alpha" value="false"/></film>'
         '<sampler type="ldsampler"><integer name="depth" value="4"/></sampler></camera>'
@@ -327,6 +328,17 @@ def test_background_of_0_4(convert):
     """<background> is the constant emitter."""
     _, text, _ = convert('<background><spectrum name="intensity" value=".5"/></background>', version="0.4.0")
     assert '<emitter type="constant"><spectrum name="radiance" value=".5"/></emitter>' in text
+
+
+def test_the_sky_stands_on_y(convert):
+    """The sun is where 0.6 had it: its radiance comes from there alone."""
+    _, _, scene = convert('<emitter type="sun"><vector name="sunDirection" x="1" y="2" z="3"/></emitter>')
+    si = mi.SurfaceInteraction3f()
+    radiance = []
+    for direction in ([1, 2, 3], [1, 3, -2], [3, 2, 1]):
+        si.wi = mi.Vector3f((-np.array(direction) / np.sqrt(14)).tolist())
+        radiance.append(float(mi.luminance(scene.environment().eval(si))[0]))
+    assert radiance[0] > 0 and radiance[1:] == [0, 0]
 
 
 # Textures ------------------------------------------------------------------------------------------------
@@ -387,14 +399,13 @@ def test_offset_is_not_scaled(convert, tmp_path):
 
 # Mixtures and the course's dialect -----------------------------------------------------------------------
 
-FRONTAL = mi.Vector3f(0, 0, 1)
-
 
 def value(bsdf_object, wi, wo):
     """f cos of a loaded BSDF."""
     si = mi.SurfaceInteraction3f()
-    si.wi = mi.Vector3f(*(np.array(wi) / np.linalg.norm(wi)))
-    return np.array(bsdf_object.eval(mi.BSDFContext(), si, mi.Vector3f(*(np.array(wo) / np.linalg.norm(wo))))).ravel()
+    si.wi = mi.Vector3f((np.array(wi) / np.linalg.norm(wi)).tolist())
+    wo = mi.Vector3f((np.array(wo) / np.linalg.norm(wo)).tolist())
+    return np.array(bsdf_object.eval(mi.BSDFContext(), si, wo)).ravel()
 
 
 @pytest.mark.parametrize(("weights", "expected"), [("0.5, 0.3", 0.5 * 0.2 + 0.3 * 0.8), ("2, 6", 0.25 * 0.2 + 0.75 * 0.8)])

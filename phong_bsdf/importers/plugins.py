@@ -143,7 +143,8 @@ def _integrator(node: Node, context: Context) -> None:
 
 
 def _sensor(node: Node, context: Context) -> None:
-    if node.find_named("focal_length") is not None:
+    if node.find_named("fov") is None:
+        # Mitsuba 3 reads it with a field of view only.
         node.take("fov_axis")
     if node.type == "thinlens" and node.find_named("aperture_radius") is None:
         node.add("float", name="aperture_radius", value="0.01")
@@ -183,7 +184,7 @@ def _brighter(node: Node, scale: Node, context: Context) -> None:
 
 
 def _sky(node: Node, context: Context) -> None:
-    """The sky of 0.6 stands on y, that of Mitsuba 3 on z."""
+    """The sky of 0.6 stands on y, that of Mitsuba 3 on z. The direction of the sun is the scene's in both."""
     old = node.type
     node.set("type", "sunsky")
     scale = node.take("scale")
@@ -202,10 +203,6 @@ def _sky(node: Node, context: Context) -> None:
     if transform is None:
         transform = node.add("transform", name="to_world")
     transform.insert(0, node.like("rotate", x="1", angle="-90"))
-    sun = node.find_named("sun_direction")
-    if sun is not None:
-        x, y, z = (sun.get(axis, "0") for axis in "xyz")
-        sun.set("y", f"{-float(z):.7g}"), sun.set("z", y), sun.set("x", x)
     context.journal.loss(
         node.place, f"emitter '{old}'",
         "now 'sunsky', of a newer model, turned from z to y as its up direction; brightness may differ",
@@ -224,25 +221,33 @@ def _shape(node: Node, context: Context) -> None:
 
 
 def _medium(node: Node, context: Context) -> None:
-    """sigma_s and sigma_a as sigma_t and albedo."""
+    """sigma_s and sigma_a as sigma_t and albedo; colours above 1, which Mitsuba 3 refuses, as a scale."""
     given = [node.find_named(name) for name in ("sigma_s", "sigma_a")]
-    if None in given:
-        preset = node.take("material")
-        if preset is not None:
-            context.journal.loss(preset.place, f"medium of material '{preset.get('value')}'", "Mitsuba 3 has no presets")
-        return
-    scattering, absorption = (color(n) for n in given)
-    if not scattering or not absorption:
-        context.journal.loss(node.place, "'sigma_s' and 'sigma_a'", "they are no plain constants; write sigma_t and albedo")
-        return
-    n = max(len(scattering), len(absorption))
-    s, a = (v * n if len(v) < n else v for v in (scattering, absorption))
-    for child in given:
-        node.remove(child)
-    total = [x + y for x, y in zip(s, a, strict=True)]
-    set_color(node.add("float", name="sigma_t", value=""), total)
-    set_color(node.add("float", name="albedo", value=""), [x / t if t else 0.0 for x, t in zip(s, total, strict=True)])
-    context.journal.change(node.place, "'sigma_s' and 'sigma_a'", "now 'sigma_t' and 'albedo'")
+    if None not in given:
+        scattering, absorption = (color(n) for n in given)
+        if not scattering or not absorption:
+            why = "they are no plain constants; write sigma_t and albedo"
+            context.journal.loss(node.place, "'sigma_s' and 'sigma_a'", why)
+            return
+        n = max(len(scattering), len(absorption))
+        s, a = (v * n if len(v) < n else v for v in (scattering, absorption))
+        for child in given:
+            node.remove(child)
+        total = [x + y for x, y in zip(s, a, strict=True)]
+        set_color(node.add("float", name="sigma_t", value=""), total)
+        set_color(node.add("float", name="albedo", value=""), [x / t if t else 0.0 for x, t in zip(s, total, strict=True)])
+        context.journal.change(node.place, "'sigma_s' and 'sigma_a'", "now 'sigma_t' and 'albedo'")
+    preset = node.take("material")
+    if preset is not None:
+        context.journal.loss(preset.place, f"medium of material '{preset.get('value')}'", "Mitsuba 3 has no presets")
+    density = node.find_named("sigma_t")
+    values = color(density) if density is not None else None
+    if values and density.tag == "rgb" and max(values) > 1:
+        scale = node.take("scale")
+        set_color(density, [v / max(values) for v in values])
+        factor = max(values) * (number(scale) if scale is not None else 1.0)
+        node.add("float", name="scale", value=to_text([factor]))
+        context.journal.change(density.place, f"'sigma_t' of {to_text(values)}", "Mitsuba 3 wants colours up to 1, and a 'scale'")
 
 
 def _subsurface(node: Node, context: Context) -> bool:
