@@ -18,7 +18,7 @@ REMEDY = "pip install 'phong-bsdf[import]'"
 
 # Not `v`, `vt`, `vn`, `f`: the lines that are read here. (Leading blanks are allowed everywhere.)
 OTHER_LINE = re.compile(rb"^(?![ \t]*(?:v|vt|vn|f)[ \t])[^\n]+", re.M)
-CONTINUED = re.compile(rb"\\\n([^\n]*)")
+CONTINUED = re.compile(rb"(?:[^\n]*\\\n)+[^\n]*")
 COMMENT = re.compile(rb"^([ \t]*(?:v|vt|vn|f)[ \t][^\n#]*)#[^\n]*", re.M)
 NO_NUMBER = re.compile(rb"^[ \t]*(?:v[tn]?[ \t][-+.\deE \t]*[^-+.\deE \t\n]|f[ \t][-/\d \t]*[^-/\d \t\n])", re.M)
 
@@ -82,8 +82,8 @@ def _tidy(data: bytes) -> bytes:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\0" in data:
         data = data.replace(b"\0", b" ")
-    while b"\\\n" in data:
-        data = CONTINUED.sub(rb" \1\n", data)
+    if b"\\\n" in data:
+        data = CONTINUED.sub(lambda m: m[0].replace(b"\\\n", b" ") + b"\n" * m[0].count(b"\n"), data)
     return COMMENT.sub(rb"\1", data) if b"#" in data else data
 
 
