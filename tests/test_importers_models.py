@@ -100,7 +100,10 @@ def test_illum_5_without_a_diffuse_colour(convert):
 def test_illum_5_with_one(convert):
     """`plastic`: a diffuse base under a reflection of its own index."""
     _, text, render = convert(square(), MTL + "illum 5\nNi 1.5\n")
-    assert '<bsdf type="plastic"><rgb name="diffuse_reflectance" value="0.6, 0.3, 0.1"/><float name="int_ior" value="1.5"/>' in text
+    assert (
+        '<bsdf type="plastic"><rgb name="diffuse_reflectance" value="0.6, 0.3, 0.1"/><float name="int_ior" value="1.5"/>'
+        in text
+    )
     # Its reflection is the same in all channels: 4 % of the background.
     assert render()[7, 7].min() > 0.04 * BACK
 
@@ -119,7 +122,10 @@ def test_glass(convert, illum):
 def test_filtered_glass(convert):
     """Tf colours what passes, Ks what is reflected."""
     _, text, _ = convert(square(), "newmtl m\nillum 7\nNi 1.4\nTf 1 0.5 0.25\nKs 0.9 0.9 0.9\n")
-    assert '<rgb name="specular_transmittance" value="1, 0.5, 0.25"/><rgb name="specular_reflectance" value="0.9, 0.9, 0.9"/>' in text
+    assert (
+        '<rgb name="specular_transmittance" value="1, 0.5, 0.25"/><rgb name="specular_reflectance" value="0.9, 0.9, 0.9"/>'
+        in text
+    )
 
 
 @pytest.mark.parametrize("illum", [10, 11, -1])
@@ -140,14 +146,19 @@ def test_reflectances(convert):
             toward = -np.array([float(light.find("vector").get(axis)) for axis in "xyz"])
             toward /= np.linalg.norm(toward)
             h = (toward + VIEW) / np.linalg.norm(toward + VIEW)
-            expected = expected + float(light.find("rgb").get("value")) * (toward @ VIEW) * (KD / np.pi + KS * c * (h @ VIEW) ** NS)
+            expected = expected + float(light.find("rgb").get("value")) * (toward @ VIEW) * (
+                KD / np.pi + KS * c * (h @ VIEW) ** NS
+            )
     assert render()[7, 7] == pytest.approx(expected, rel=1e-4)
 
 
 # Transparency, emission, defaults ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("lines", "opacity"), [("d 0.25", 0.25), ("Tr 0.75", 0.25), ("d 0.25\nTr 0.25", 0.25), ("d -halo 0.25", 0.25), ("d 1", 1)])
+@pytest.mark.parametrize(
+    ("lines", "opacity"),
+    [("d 0.25", 0.25), ("Tr 0.75", 0.25), ("d 0.25\nTr 0.25", 0.25), ("d -halo 0.25", 0.25), ("d 1", 1)],
+)
 def test_opacity(convert, lines, opacity):
     """d, or 1 - Tr, of the surface before the background; where they disagree d counts, and that is told."""
     result, text, render = convert(square(), MTL + lines)
@@ -196,8 +207,8 @@ def image_of(path, pixels):
 
 def quarters(image):
     """The colours in the middle of the four quarters, in reading order."""
-    n = len(image)
-    return [image[i * n // 8, j * n // 8] for i in (2, 6) for j in (2, 6)]
+    height, width = image.shape[:2]
+    return [image[i * height // 8, j * width // 8] for i in (2, 6) for j in (2, 6)]
 
 
 FOUR = [[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]]
@@ -259,7 +270,9 @@ def test_maps_of_numbers(convert, tmp_path):
     _, text, _ = convert(square(), MTL + "map_Ns n.png\nmap_d -imfchan g -mm 0.1 0.5 d.png\n")
     assert images.read_exr(tmp_path / "new_files/n-ns-20.exr")[0, 0] == pytest.approx([4.0])
     assert images.read_exr(tmp_path / "new_files/d-d-1.exr")[0, 0] == pytest.approx([0.1 + 0.5 * 0.4])
-    assert re.search(r'<texture type="bitmap" name="p"><string [^>]*n-ns-20.exr"/><boolean name="raw" value="true"/>', text)
+    assert re.search(
+        r'<texture type="bitmap" name="p"><string [^>]*n-ns-20.exr"/><boolean name="raw" value="true"/>', text
+    )
     assert re.search(r'<bsdf type="mask" id="m"><texture type="bitmap" name="opacity">', text)
 
 
@@ -372,7 +385,7 @@ def test_lines_and_points_are_told(tmp_path):
 
 def normals_of(text, folder):
     """Normals at each corner of each triangle."""
-    (_, mesh), = meshes.split(read(folder, text)[0])
+    ((_, mesh),) = meshes.split(read(folder, text)[0])
     if mesh.normals is None:
         a, b, c = mesh.positions[mesh.faces].transpose(1, 0, 2)
         n = np.cross(b - a, c - a)
@@ -448,7 +461,9 @@ def test_the_camera_sees_it_all(tmp_path, stretch, size):
     local = np.linalg.inv(np.array(params["to_world"].matrix).reshape(4, 4)) @ np.c_[points[:59], np.ones(59)].T
     slope = np.tan(np.radians(float(params["x_fov"][0]) / 2))
     assert np.all(local[2] > params["near_clip"]) and np.all(local[2] < params["far_clip"])
-    assert np.all(np.abs(local[0] / local[2]) < slope) and np.all(np.abs(local[1] / local[2]) < slope * size[1] / size[0])
+    assert np.all(np.abs(local[0] / local[2]) < slope) and np.all(
+        np.abs(local[1] / local[2]) < slope * size[1] / size[0]
+    )
 
 
 def test_no_camera(convert):

@@ -118,7 +118,9 @@ def test_defaults(variant, tmp_path):
 
 def test_rgb(variant, tmp_path):
     """Colours. In spectral variants they are spectra of the same colour, whose products have nearly that colour."""
-    inside = GREY.replace('spectrum name="diffuseReflectance" value="0.4"', 'rgb name="diffuseReflectance" value="0.5, 0.4, 0.3"')
+    inside = GREY.replace(
+        'spectrum name="diffuseReflectance" value="0.4"', 'rgb name="diffuseReflectance" value="0.5, 0.4, 0.3"'
+    )
     expected = formula([0.5, 0.4, 0.3], [0.3] * 3, 20)
     rel = 0.15 if variant == "llvm_ad_spectral" else 2e-4
     assert ratio(tmp_path, phong(inside)).mean((0, 1)) == pytest.approx(expected, rel=rel)
@@ -157,7 +159,9 @@ def test_textures(variant, tmp_path):
     def bitmap(name, attributes):
         raw = '<boolean name="raw" value="true"/>'
         nearest = '<string name="filterType" value="nearest"/>'
-        return f'<texture type="bitmap" {attributes}><string name="filename" value="{name}.exr"/>{nearest}{raw}</texture>'
+        return (
+            f'<texture type="bitmap" {attributes}><string name="filename" value="{name}.exr"/>{nearest}{raw}</texture>'
+        )
 
     inside = (
         '<ref name="diffuseReflectance" id="map"/>'
@@ -207,7 +211,9 @@ def test_bumpmap(variant, tmp_path):
     """A slope in u turns the normal: the surface rises by 0.5 while x goes from -1 to 1."""
     ramp = np.broadcast_to((np.arange(64) + 0.5)[None, :, None] / 64 * 0.5, (64, 64, 1))
     images.write(tmp_path / "ramp.exr", ramp)
-    texture = '<texture type="bitmap"><string name="filename" value="ramp.exr"/><boolean name="raw" value="true"/></texture>'
+    texture = (
+        '<texture type="bitmap"><string name="filename" value="ramp.exr"/><boolean name="raw" value="true"/></texture>'
+    )
     image = ratio(tmp_path, f'<bsdf type="bumpmap">{texture}{phong(GREY)}</bsdf>')
     expected = formula(0.4, 0.3, 20, n=(-0.25, 0.0, 1.0))
     assert expected != pytest.approx(EXPECTED, rel=0.05)

@@ -25,7 +25,9 @@ def convert(tmp_path):
 
     def run(elements, version="0.6.0"):
         old, new = tmp_path / "old.xml", tmp_path / "new.xml"
-        old.write_text(f'<scene version="{version}">\n{elements}\n</scene>' if version else f"<scene>\n{elements}\n</scene>")
+        old.write_text(
+            f'<scene version="{version}">\n{elements}\n</scene>' if version else f"<scene>\n{elements}\n</scene>"
+        )
         before = old.read_bytes()
         result = convert_scene(old, new)
         assert old.read_bytes() == before
@@ -266,7 +268,9 @@ def test_records_tell_the_line(convert):
 
 def test_nothing_to_change(convert):
     """A plain scene changes its spelling only."""
-    result, text, _ = convert('<integrator type="path"/><shape type="sphere"><bsdf type="phong"><float name="exponent" value="3"/></bsdf></shape>')
+    result, text, _ = convert(
+        '<integrator type="path"/><shape type="sphere"><bsdf type="phong"><float name="exponent" value="3"/></bsdf></shape>'
+    )
     assert result.records == ()
     assert text.strip() == (
         '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"><bsdf type="phong">'
@@ -351,7 +355,9 @@ def test_gamma(convert, tmp_path, gamma):
     inside = f'<string name="filterType" value="ewa"/><float name="gamma" value="{gamma}"/><string name="wrapMode" value="zero"/>'
     result, text, _ = convert(bsdf(f'<bsdf type="diffuse">{BITMAP.format("a.png", inside)}</bsdf>'))
     assert '<string name="filename" value="new_files/a-linear.exr"/>' in text
-    assert '<string name="filter_type" value="bilinear"/>' in text and '<string name="wrap_mode" value="clamp"/>' in text
+    assert (
+        '<string name="filter_type" value="bilinear"/>' in text and '<string name="wrap_mode" value="clamp"/>' in text
+    )
     assert images.read_exr(tmp_path / "new_files/a-linear.exr") == pytest.approx((100 / 255) ** float(gamma), rel=1e-6)
     assert result.files == (tmp_path / "new.xml", tmp_path / "new_files/a-linear.exr")
 
@@ -408,7 +414,9 @@ def value(bsdf_object, wi, wo):
     return np.array(bsdf_object.eval(mi.BSDFContext(), si, wo)).ravel()
 
 
-@pytest.mark.parametrize(("weights", "expected"), [("0.5, 0.3", 0.5 * 0.2 + 0.3 * 0.8), ("2, 6", 0.25 * 0.2 + 0.75 * 0.8)])
+@pytest.mark.parametrize(
+    ("weights", "expected"), [("0.5, 0.3", 0.5 * 0.2 + 0.3 * 0.8), ("2, 6", 0.25 * 0.2 + 0.75 * 0.8)]
+)
 def test_mixture(convert, weights, expected):
     """A weighted sum: what is missing to 1 is black, what exceeds 1 is divided by the sum."""
     parts = "".join(f'<bsdf type="diffuse"><spectrum name="reflectance" value="{r}"/></bsdf>' for r in (0.2, 0.8))
@@ -469,7 +477,10 @@ def test_includes(convert, tmp_path):
     images_of(tmp_path / "parts")
     inside = f'<bsdf type="diffuse" id="b">{BITMAP.format("b.exr", "")}</bsdf>'
     (tmp_path / "parts/one.xml").write_text(f'<scene version="0.6.0"><default name="n" value="7"/>{inside}</scene>')
-    result, text, _ = convert('<include filename="parts/one.xml"/><integrator type="path"><integer name="maxDepth" value="$n"/></integrator>' + bsdf('<ref id="b"/>'))
+    result, text, _ = convert(
+        '<include filename="parts/one.xml"/><integrator type="path"><integer name="maxDepth" value="$n"/></integrator>'
+        + bsdf('<ref id="b"/>')
+    )
     assert '<default name="n" value="7"/>' in text and "include" not in text
     assert '<string name="filename" value="parts/b.exr"/>' in text
     assert any(r.what == "<include> of 'parts/one.xml'" for r in result.changes)
@@ -480,7 +491,9 @@ def test_another_folder(tmp_path):
     (tmp_path / "in").mkdir(), (tmp_path / "out").mkdir()
     images_of(tmp_path / "in")
     old, new = tmp_path / "in/old.xml", tmp_path / "out/new.xml"
-    old.write_text(f'<scene version="0.6.0">{bsdf(f"""<bsdf type="diffuse">{BITMAP.format("a.png", "")}</bsdf>""")}</scene>')
+    old.write_text(
+        f'<scene version="0.6.0">{bsdf(f"""<bsdf type="diffuse">{BITMAP.format("a.png", "")}</bsdf>""")}</scene>'
+    )
     convert_scene(old, new)
     assert 'value="../in/a.png"' in new.read_text()
     mi.load_file(str(new))
@@ -489,7 +502,9 @@ def test_another_folder(tmp_path):
 def test_missing_files_are_told(convert, tmp_path):
     """A mesh that is not there: the file is named, with its line."""
     old = tmp_path / "old.xml"
-    old.write_text('<scene version="0.6.0">\n<shape type="obj"><string name="filename" value="no.obj"/></shape></scene>')
+    old.write_text(
+        '<scene version="0.6.0">\n<shape type="obj"><string name="filename" value="no.obj"/></shape></scene>'
+    )
     result = convert_scene(old, tmp_path / "new.xml")
     assert [str(r) for r in result.losses] == ["old.xml, line 2: file 'no.obj': there is no such file"]
 
@@ -506,13 +521,17 @@ def test_aliases_and_references(convert):
 def test_a_parameter_where_a_number_is_needed(convert):
     """What cannot be computed without its value is an error that says so."""
     with pytest.raises(ConversionError, match=r"line 2: '\$p' is needed for the conversion"):
-        convert(bsdf('<bsdf type="phong"><rgb name="reflectance" value="1"/><float name="exponent" value="$p"/></bsdf>'))
+        convert(
+            bsdf('<bsdf type="phong"><rgb name="reflectance" value="1"/><float name="exponent" value="$p"/></bsdf>')
+        )
 
 
 def test_the_whole_picture(convert):
     """A converted scene renders: the highlight of `phong` is brighter than its surroundings, and nothing is NaN."""
     light = '<luminaire type="point"><point name="position" x="2" y="3" z="4"/><spectrum name="intensity" value="40"/></luminaire>'
-    ball = bsdf('<bsdf type="phong"><srgb name="diffuseReflectance" value="#c04020"/><float name="exponent" value="40"/></bsdf>')
+    ball = bsdf(
+        '<bsdf type="phong"><srgb name="diffuseReflectance" value="#c04020"/><float name="exponent" value="40"/></bsdf>'
+    )
     _, _, scene = convert(light + ball + SENSOR, version="0.5.0")
     image = np.array(mi.render(scene, spp=4))
     assert np.isfinite(image).all() and image.max() > 3 * image[image > 0].mean()

@@ -14,10 +14,14 @@ from .session import errors, progress, start
               help="Scene to write, .xml. Its meshes and images go into a folder beside it.")  # fmt: skip
 @click.option("--vocabulary", type=click.Choice(["coefficients", "reflectances"]),
               help="OBJ: write highlights as the lecture's kd, ks, p (default), or as reflectances.")  # fmt: skip
-@click.option("--camera", type=click.Choice(["auto", "none"]), help="OBJ: a camera that sees it all (default), or none.")
+@click.option(
+    "--camera", type=click.Choice(["auto", "none"]), help="OBJ: a camera that sees it all (default), or none."
+)
 @click.option("--root", type=click.Path(path_type=Path, file_okay=False),
               help="Files are read below this folder only. Default: the folder of OLD.")  # fmt: skip
-@click.option("--check/--no-check", default=True, help="Load the new scene to see whether Mitsuba takes it. Default: yes.")
+@click.option(
+    "--check/--no-check", default=True, help="Load the new scene to see whether Mitsuba takes it. Default: yes."
+)
 def convert(source, output, vocabulary, camera, root, check):
     """Convert OLD, a Mitsuba 0.x scene (.xml) or a model (.obj with .mtl), into a scene of today.
 

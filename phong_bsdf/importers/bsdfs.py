@@ -37,7 +37,9 @@ def rewrite(context: Context) -> None:
 
 def nested(node: Node, context: Context) -> list[Node]:
     """The BSDFs, and references to them, inside of a BSDF."""
-    return [child for child in node.nodes if child.tag == "bsdf" or (child.tag == "ref" and not _is_texture(child, context))]
+    return [
+        child for child in node.nodes if child.tag == "bsdf" or (child.tag == "ref" and not _is_texture(child, context))
+    ]
 
 
 def _is_texture(ref: Node, context: Context) -> bool:
@@ -56,7 +58,9 @@ def _rough(node: Node, context: Context) -> None:
         if given is not None:
             alpha = math.sqrt(2 / (max(number(given), 0) + 2))
             node.add("float", name=name.replace("exponent", "alpha"), value=to_text([alpha]))
-            context.journal.change(given.place, f"'{name}' {given.get('value')}", f"now alpha = sqrt(2/(p+2)) = {alpha:.4g}")
+            context.journal.change(
+                given.place, f"'{name}' {given.get('value')}", f"now alpha = sqrt(2/(p+2)) = {alpha:.4g}"
+            )
     if kind is None or kind.get("value") not in ("phong", "as"):
         return
     old = kind.get("value")
@@ -64,7 +68,9 @@ def _rough(node: Node, context: Context) -> None:
     alpha = node.find_named("alpha")
     value = color(alpha) if alpha is not None else [0.1]
     power = f", whose exponent is about 2/alpha^2 - 2 = {2 / value[0] ** 2 - 2:.4g}" if value and value[0] > 0 else ""
-    context.journal.loss(kind.place, f"{node.type} with distribution '{old}'", f"now 'beckmann' of the same alpha{power}")
+    context.journal.loss(
+        kind.place, f"{node.type} with distribution '{old}'", f"now 'beckmann' of the same alpha{power}"
+    )
     if old == "as" and node.type == "roughplastic":
         for name in ("alpha_u", "alpha_v"):
             given = node.take(name)
@@ -166,7 +172,9 @@ def _mixture(node: Node, context: Context) -> None:
     what = f"'mixturebsdf' of {len(parts)}"
     node[:] = []
     _chain(node, weights, parts)
-    context.journal.change(node.place, what, "now nested 'blendbsdf'" + (", the rest black" if total < 1 - 1e-6 else ""))
+    context.journal.change(
+        node.place, what, "now nested 'blendbsdf'" + (", the rest black" if total < 1 - 1e-6 else "")
+    )
 
 
 def _chain(node: Node, weights: list[float], parts: list[Node]) -> None:
@@ -211,7 +219,9 @@ def _blinn(node: Node, context: Context) -> None:
     p = _exponent(node)
     factor = (p + 2) / (4 * (2 - 2 ** (-p / 2)))
     _dialect(node, context, factor, "R (p+2) / (4 (2 - 2^(-p/2))), so that the values are the same")
-    context.journal.loss(node.place, "a course's 'blinn'", "its rise toward white at grazing angles (Schlick) is left out")
+    context.journal.loss(
+        node.place, "a course's 'blinn'", "its rise toward white at grazing angles (Schlick) is left out"
+    )
 
 
 def _exponent(node: Node) -> float:
@@ -233,7 +243,9 @@ def _dialect(node: Node, context: Context, factor: float, why: str) -> None:
         _scale_texture(ks, factor, context)
         node.append(ks)
     node.add("float", name="p", value=exponent.get("value") if exponent is not None else "30")
-    context.journal.change(reflectance.place, f"'reflectance' of '{node.type}' is now 'ks'", f"a course's dialect; ks = {why}")
+    context.journal.change(
+        reflectance.place, f"'reflectance' of '{node.type}' is now 'ks'", f"a course's dialect; ks = {why}"
+    )
 
 
 def _scale_texture(node: Node, factor: float, context: Context) -> None:
@@ -255,7 +267,9 @@ def _blinn_microfacet(node: Node, context: Context) -> None:
     node.set("type", "roughconductor")
     _metal(node, values)
     node.add("float", name="alpha", value=to_text([math.sqrt(2 / (p + 2))]))
-    context.journal.loss(node.place, "a course's 'blinn_microfacet'", "approximated by 'roughconductor' of the same reflectance")
+    context.journal.loss(
+        node.place, "a course's 'blinn_microfacet'", "approximated by 'roughconductor' of the same reflectance"
+    )
 
 
 def _mirror(node: Node, context: Context) -> None:
@@ -322,7 +336,9 @@ def _normalmap(node: Node, context: Context) -> None:
 
 def _bumpmap(node: Node, context: Context) -> None:
     """Mitsuba 3 knows the slopes of images only."""
-    textures = [child for child in node.nodes if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context))]
+    textures = [
+        child for child in node.nodes if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context))
+    ]
     if any(context.dereference(texture).type == "bitmap" for texture in textures):
         return
     inside = nested(node, context)
@@ -339,7 +355,9 @@ def _conserve(node: Node, context: Context) -> None:
         if values and max(values) > 1:
             scale = CONSERVED / max(values)
             set_color(child, [v * scale for v in values])
-            context.journal.change(child.place, f"'{child.name}' of {to_text(values)}", f"times {scale:.3g}, as Mitsuba 0.6 did it")
+            context.journal.change(
+                child.place, f"'{child.name}' of {to_text(values)}", f"times {scale:.3g}, as Mitsuba 0.6 did it"
+            )
 
 
 RULES = {

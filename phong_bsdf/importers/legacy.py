@@ -21,7 +21,11 @@ TRANSFORMS = ("lookAt", "lookat", "translate", "rotate", "scale", "matrix")
 
 
 def convert_scene(
-    path: Path, output: Path, *, root: Path | None = None, on_progress: Callable[[str, float], None] = lambda what, share: None
+    path: Path,
+    output: Path,
+    *,
+    root: Path | None = None,
+    on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Conversion:
     """Convert the Mitsuba 0.x scene `path` and write it to `output`, an XML file.
 
@@ -45,7 +49,15 @@ def convert_scene(
     upgrade(tree, version, journal)
     _names(context)
     values.rewrite_colors(tree, journal)
-    for rewrite in (_transforms, textures.rewrite, bsdfs.rewrite, plugins.rewrite, catalogue.sift, _filenames, _settings):
+    for rewrite in (
+        _transforms,
+        textures.rewrite,
+        bsdfs.rewrite,
+        plugins.rewrite,
+        catalogue.sift,
+        _filenames,
+        _settings,
+    ):
         rewrite(context)
     on_progress("writing", 0.9)
     tree.attrib = {"version": VERSION}
@@ -110,13 +122,17 @@ def _transforms(context: Context) -> None:
 def _filenames(context: Context) -> None:
     """Files that stay where they are, named as the new scene must name them."""
     for node in context.root.all():
-        is_file = (node.tag == "string" and node.name == "filename") or (node.tag == "spectrum" and "filename" in node.attrib)
+        is_file = (node.tag == "string" and node.name == "filename") or (
+            node.tag == "spectrum" and "filename" in node.attrib
+        )
         if not is_file or node.final:
             continue
         attribute = "value" if node.tag == "string" else "filename"
         path = context.filename(node)
         if path is None:
-            context.journal.loss(node.place, f"file '{node.get(attribute)}'", "depends on a parameter; it is not checked")
+            context.journal.loss(
+                node.place, f"file '{node.get(attribute)}'", "depends on a parameter; it is not checked"
+            )
             continue
         if not path.is_file():
             context.journal.loss(node.place, f"file '{node.get(attribute)}'", "there is no such file")

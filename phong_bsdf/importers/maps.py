@@ -23,11 +23,17 @@ class Maps:
     files: Files
     journal: Journal
 
-    def color(self, material: Material, name: str, parameter: str, default, gain, parent: Node, upper: float = np.inf) -> Node:
+    def color(
+        self, material: Material, name: str, parameter: str, default, gain, parent: Node, upper: float = np.inf
+    ) -> Node:
         """A colour, or its map times the colour, times `gain` (a number, or one for each channel)."""
         value = material.values.get(name, (1.0, 1.0, 1.0) if name in material.maps else default)
         if name in material.maps and max(value) == 0:
-            self.journal.change(material.place(name), f"{name.capitalize()} 0 0 0 of '{material.name}' with a map", "the map counts alone")
+            self.journal.change(
+                material.place(name),
+                f"{name.capitalize()} 0 0 0 of '{material.name}' with a map",
+                "the map counts alone",
+            )
             value = (1.0, 1.0, 1.0)
         factor = [float(x) for x in np.broadcast_to(np.asarray(value, float) * gain, 3)]
         if name in material.maps:
@@ -40,7 +46,9 @@ class Maps:
         set_color(made, [min(x, upper) for x in factor])
         return made
 
-    def number(self, material: Material, name: str, parameter: str, value: float, parent: Node, upper: float = np.inf) -> Node:
+    def number(
+        self, material: Material, name: str, parameter: str, value: float, parent: Node, upper: float = np.inf
+    ) -> Node:
         """A number, or its map times the number."""
         if name in material.maps:
             made = self._texture(material, name, parameter, [value], parent, raw=True)
@@ -73,7 +81,9 @@ class Maps:
             what = "-".join([name, *(f"{x:.3g}" for x in dict.fromkeys(factor))])
             new = bake.write(self.files, path, changed, what)
             made.add("string", name="filename", value=self.files.relative(new.resolve()))
-            self.journal.change(place, f"texture '{given.file}'", f"copied to '{new.name}', its values as the material wants them")
+            self.journal.change(
+                place, f"texture '{given.file}'", f"copied to '{new.name}', its values as the material wants them"
+            )
         if raw:
             made.add("boolean", name="raw", value="true")
         self._place(made, given)

@@ -82,10 +82,14 @@ class Materials:
         if given is None:
             return 2 if shiny else 1
         if given[0] not in range(11):
-            self.journal.loss(material.place("illum"), f"illum {given[0]:g} of '{material.name}'", "it should be 0 to 10; taken as 2")
+            self.journal.loss(
+                material.place("illum"), f"illum {given[0]:g} of '{material.name}'", "it should be 0 to 10; taken as 2"
+            )
             return 2
         if given[0] == 10:
-            self.journal.loss(material.place("illum"), f"illum 10 of '{material.name}'", "shadows cast onto nothing; taken as 1")
+            self.journal.loss(
+                material.place("illum"), f"illum 10 of '{material.name}'", "shadows cast onto nothing; taken as 1"
+            )
             return 1
         if given[0] in WITHOUT_RAYS:
             why = "reflections without ray tracing; the scene is reflected"
@@ -109,7 +113,9 @@ class Materials:
         made.append(self.maps.color(material, "ks", ks, DEFAULTS["ks"], gain, made))
         exponent = material.values.get("ns")
         if exponent is None and self._is_shiny(material):
-            self.journal.change(material.place(), f"'{material.name}' without Ns", f"its exponent is taken as {EXPONENT:g}")
+            self.journal.change(
+                material.place(), f"'{material.name}' without Ns", f"its exponent is taken as {EXPONENT:g}"
+            )
         value = max(exponent[0], 0.0) if exponent else EXPONENT
         made.append(self.maps.number(material, "ns", p, value, made))
         return made
@@ -157,13 +163,21 @@ class Materials:
         km = parent.add("bsdf", type="mirrorblend")
         strength = material.values.get("ks", self._specular(material))
         if "ks" in material.maps:
-            self.journal.loss(material.place("map ks"), f"mirror '{material.name}' with map_Ks", "its lit part is diminished by the mirror")
+            self.journal.loss(
+                material.place("map ks"),
+                f"mirror '{material.name}' with map_Ks",
+                "its lit part is diminished by the mirror",
+            )
             km.append(self.maps.color(material, "ks", "km", DEFAULTS["ks"], 1.0, km, upper=1.0))
             self._lit(km, material, shiny=True)
             return
         limited = [min(max(s, 0.0), STRONGEST_MIRROR) for s in strength]
         if max(strength) > STRONGEST_MIRROR:
-            self.journal.change(material.place("ks"), f"mirror '{material.name}' of strength {max(strength):g}", f"now {STRONGEST_MIRROR}")
+            self.journal.change(
+                material.place("ks"),
+                f"mirror '{material.name}' of strength {max(strength):g}",
+                f"now {STRONGEST_MIRROR}",
+            )
         set_color(km.add("rgb", name="km"), limited)
         if self.vocabulary == "reflectances":
             self._lit(km, material, shiny=True)
@@ -211,7 +225,9 @@ class Materials:
     def _index(self, material: Material) -> float:
         given = material.values.get("ni")
         if given is None or not 0.001 <= given[0] <= 100:
-            self.journal.change(material.place("ni"), f"'{material.name}' without a usable Ni", f"its index is taken as {INDEX:g}")
+            self.journal.change(
+                material.place("ni"), f"'{material.name}' without a usable Ni", f"its index is taken as {INDEX:g}"
+            )
             return INDEX
         return given[0]
 
@@ -233,7 +249,11 @@ class Materials:
     def _opacity(self, material: Material) -> float:
         d, tr = material.values.get("d"), material.values.get("tr")
         if d and tr and abs(d[0] - (1 - tr[0])) > 1e-3:
-            self.journal.loss(material.place("tr"), f"'{material.name}' with d {d[0]:g} and Tr {tr[0]:g}", "they disagree (Tr = 1 - d); d counts")
+            self.journal.loss(
+                material.place("tr"),
+                f"'{material.name}' with d {d[0]:g} and Tr {tr[0]:g}",
+                "they disagree (Tr = 1 - d); d counts",
+            )
         return min(max(d[0] if d else 1 - tr[0] if tr else 1.0, 0.0), 1.0)
 
     def _dissolve(self, made: Node, material: Material, name: str) -> Node:

@@ -97,7 +97,10 @@ def _mesh(t: Triangles, part: np.ndarray, normals: np.ndarray, vn: np.ndarray, f
     v, vt = t.v[part].ravel().astype(np.int64), t.vt[part].ravel().astype(np.int64)
     textured = bool((vt >= 0).any())
     corner = v
-    for index, size in ((vt if textured else None, len(t.texcoords)), (None if flat else vn[part].ravel(), len(normals))):
+    for index, size in (
+        (vt if textured else None, len(t.texcoords)),
+        (None if flat else vn[part].ravel(), len(normals)),
+    ):
         if index is not None:
             _, corner = np.unique(corner, return_inverse=True)
             corner = corner * (size + 1) + index + 1

@@ -78,7 +78,9 @@ def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -
         place = (path.name, line)
         whole = files.find(text, path.parent, place) if text else None
         # The specification has several names on a line; many programs write one, with spaces.
-        names = [whole] if whole and whole.is_file() else [files.find(word, path.parent, place) for word in text.split()]
+        names = (
+            [whole] if whole and whole.is_file() else [files.find(word, path.parent, place) for word in text.split()]
+        )
         for library in names:
             if not library.is_file():
                 journal.loss(place, f"material library '{library.name}'", "there is no such file")
@@ -88,7 +90,9 @@ def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -
     return found
 
 
-def _parts(scene: Node, triangles: Triangles, library, materials: Materials, files: Files, journal: Journal, on_progress):
+def _parts(
+    scene: Node, triangles: Triangles, library, materials: Materials, files: Files, journal: Journal, on_progress
+):
     """The BSDFs in use, and a shape for each."""
     bsdfs, shapes, names = [], [], set()
     count = len(np.unique(triangles.material))
@@ -99,7 +103,9 @@ def _parts(scene: Node, triangles: Triangles, library, materials: Materials, fil
         material = library.get(title) if index >= 0 else None
         if material is None:
             if index >= 0:
-                journal.loss((scene.file, line), f"material '{title}'", "no MTL file defines it; now a grey diffuse surface")
+                journal.loss(
+                    (scene.file, line), f"material '{title}'", "no MTL file defines it; now a grey diffuse surface"
+                )
             bsdfs.append(materials.default(scene, name))
         else:
             bsdfs.append(materials.bsdf(material, scene, name))

@@ -121,7 +121,11 @@ def _statement(material: Material, keyword: str, rest: str, place, journal: Jour
         words = words[1:]
     values = _color(words, place, journal) if keyword in COLORS else _numbers(words[:1])
     if values is None:
-        journal.loss(place, f"'{keyword} {rest[:40]}'", "left out: this should be " + ("a colour" if keyword in COLORS else "a number"))
+        journal.loss(
+            place,
+            f"'{keyword} {rest[:40]}'",
+            "left out: this should be " + ("a colour" if keyword in COLORS else "a number"),
+        )
     else:
         material.values[keyword] = values
 
@@ -137,7 +141,11 @@ def _color(words: list[str], place, journal: Journal) -> tuple[float, ...] | Non
     if kind == "xyz":
         # CIE XYZ to linear sRGB (IEC 61966-2-1).
         x, y, z = values
-        values = (3.2406 * x - 1.5372 * y - 0.4986 * z, -0.9689 * x + 1.8758 * y + 0.0415 * z, 0.0557 * x - 0.204 * y + 1.057 * z)
+        values = (
+            3.2406 * x - 1.5372 * y - 0.4986 * z,
+            -0.9689 * x + 1.8758 * y + 0.0415 * z,
+            0.0557 * x - 0.204 * y + 1.057 * z,
+        )
     if min(values) < 0:
         journal.loss(place, "a colour below 0", "its negative channels are taken as 0")
     return tuple(max(v, 0.0) for v in values)

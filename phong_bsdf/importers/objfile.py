@@ -137,13 +137,17 @@ class _Statements:
         try:
             return min(max(int(float(text)), 0), 2**31 - 1)
         except (ValueError, OverflowError):
-            self.journal.loss((self.file, line), f"'s {decoded(rest)[:40]}'", "a smoothing group is a number or off; taken as off")
+            self.journal.loss(
+                (self.file, line), f"'s {decoded(rest)[:40]}'", "a smoothing group is a number or off; taken as off"
+            )
             return 0
 
     def _loss(self, keyword: bytes, match, text: bytes, why: str) -> None:
         if keyword not in self._lines:
             self._lines[keyword] = 1
-            self.journal.loss((self.file, self._line_of(match, text)), f"'{decoded(keyword)[:40]}' and all others like it", why)
+            self.journal.loss(
+                (self.file, self._line_of(match, text)), f"'{decoded(keyword)[:40]}' and all others like it", why
+            )
 
     def _line_of(self, match, text: bytes) -> int:
         self._line += text.count(b"\n", self._seen, match.start())

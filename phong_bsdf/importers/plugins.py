@@ -78,7 +78,11 @@ def _rename(node: Node, context: Context) -> None:
         new, lost, why = RENAMED[node.tag, old]
         node.set("type", new)
         if lost:
-            context.journal.loss(node.place, f"{node.tag} '{old}' is now '{new}'", f"Mitsuba 3 has {lost}" if lost.startswith("no ") else lost)
+            context.journal.loss(
+                node.place,
+                f"{node.tag} '{old}' is now '{new}'",
+                f"Mitsuba 3 has {lost}" if lost.startswith("no ") else lost,
+            )
         else:
             context.journal.change(node.place, f"{node.tag} '{old}' is now '{new}'", why)
 
@@ -86,7 +90,9 @@ def _rename(node: Node, context: Context) -> None:
 def _film(node: Node, context: Context) -> None:
     if node.type == "ldrfilm":
         node.set("type", "hdrfilm")
-        context.journal.change(node.place, "film 'ldrfilm' is now 'hdrfilm'", "PNG files are made when the picture is written")
+        context.journal.change(
+            node.place, "film 'ldrfilm' is now 'hdrfilm'", "PNG files are made when the picture is written"
+        )
         node.take("file_format")
         method = node.take("tonemap_method")
         if method is not None and method.get("value") != "gamma":
@@ -165,7 +171,9 @@ def _emitter(node: Node, context: Context) -> None:
     if node.type == "envmap":
         gamma = node.take("gamma")
         if gamma is not None and number(gamma) not in (-1.0, 0.0):
-            context.journal.loss(gamma.place, f"'gamma' {gamma.get('value')} of 'envmap'", "Mitsuba 3 knows the file's own")
+            context.journal.loss(
+                gamma.place, f"'gamma' {gamma.get('value')} of 'envmap'", "Mitsuba 3 knows the file's own"
+            )
         node.take("cache")
 
 
@@ -174,13 +182,17 @@ def _brighter(node: Node, scale: Node, context: Context) -> None:
     light = node.find_named("radiance", "irradiance", "intensity", "power")
     values = color(light) if light is not None else [1.0]
     if values is None:
-        context.journal.loss(scale.place, f"'scale' {scale.get('value')} of '{node.type}'", "its spectrum cannot be scaled")
+        context.journal.loss(
+            scale.place, f"'scale' {scale.get('value')} of '{node.type}'", "its spectrum cannot be scaled"
+        )
         return
     if light is None:
         names = {"directional": "irradiance", "area": "radiance", "constant": "radiance"}
         light = node.add("rgb", name=names.get(node.type, "intensity"))
     set_color(light, [number(scale) * v for v in values])
-    context.journal.change(scale.place, f"'scale' of '{node.type}'", f"now part of '{light.name}': {light.get('value')}")
+    context.journal.change(
+        scale.place, f"'scale' of '{node.type}'", f"now part of '{light.name}': {light.get('value')}"
+    )
 
 
 def _sky(node: Node, context: Context) -> None:
@@ -210,12 +222,16 @@ def _sky(node: Node, context: Context) -> None:
 
 
 def _shape(node: Node, context: Context) -> None:
-    surfaces = [n for n in node.nodes if n.tag == "bsdf" or (n.tag == "ref" and getattr(context.target(n), "tag", "") == "bsdf")]
+    surfaces = [
+        n for n in node.nodes if n.tag == "bsdf" or (n.tag == "ref" and getattr(context.target(n), "tag", "") == "bsdf")
+    ]
     for extra in surfaces[1:]:
         node.remove(extra)
     if len(surfaces) > 1:
         named = ", ".join(repr(n.name or n.get("id", n.type)) for n in surfaces[1:])
-        context.journal.loss(node.place, f"{len(surfaces)} BSDFs of one shape", f"only the first is left, without {named}")
+        context.journal.loss(
+            node.place, f"{len(surfaces)} BSDFs of one shape", f"only the first is left, without {named}"
+        )
     for child in surfaces[:1]:
         child.attrib.pop("name", None)
 
@@ -235,7 +251,9 @@ def _medium(node: Node, context: Context) -> None:
             node.remove(child)
         total = [x + y for x, y in zip(s, a, strict=True)]
         set_color(node.add("float", name="sigma_t", value=""), total)
-        set_color(node.add("float", name="albedo", value=""), [x / t if t else 0.0 for x, t in zip(s, total, strict=True)])
+        set_color(
+            node.add("float", name="albedo", value=""), [x / t if t else 0.0 for x, t in zip(s, total, strict=True)]
+        )
         context.journal.change(node.place, "'sigma_s' and 'sigma_a'", "now 'sigma_t' and 'albedo'")
     preset = node.take("material")
     if preset is not None:
@@ -247,7 +265,9 @@ def _medium(node: Node, context: Context) -> None:
         set_color(density, [v / max(values) for v in values])
         factor = max(values) * (number(scale) if scale is not None else 1.0)
         node.add("float", name="scale", value=to_text([factor]))
-        context.journal.change(density.place, f"'sigma_t' of {to_text(values)}", "Mitsuba 3 wants colours up to 1, and a 'scale'")
+        context.journal.change(
+            density.place, f"'sigma_t' of {to_text(values)}", "Mitsuba 3 wants colours up to 1, and a 'scale'"
+        )
 
 
 def _subsurface(node: Node, context: Context) -> bool:

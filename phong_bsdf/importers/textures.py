@@ -114,7 +114,9 @@ def _wrapping(node: Node, context: Context) -> None:
     values = [n.get("value", "repeat") for n in given]
     mode = "clamp" if values[0] in ("zero", "one") else values[0]
     if len(set(values)) > 1:
-        context.journal.loss(given[1].place, f"wrap modes {' and '.join(values)}", "Mitsuba 3 has one for both directions")
+        context.journal.loss(
+            given[1].place, f"wrap modes {' and '.join(values)}", "Mitsuba 3 has one for both directions"
+        )
     if mode != values[0]:
         context.journal.loss(given[0].place, f"wrap mode '{values[0]}'", "now 'clamp', the nearest of Mitsuba 3")
     node.add("string", name="wrap_mode", value=mode)

@@ -143,7 +143,10 @@ def _mirror_0_2(root: Node, journal: Journal) -> None:
 
 def _amounts(node: Node, journal: Journal) -> None:
     for amount, name, default in zip(
-        ("specularAmount", "diffuseAmount"), ("specularReflectance", "diffuseReflectance"), AMOUNTS[node.type], strict=True
+        ("specularAmount", "diffuseAmount"),
+        ("specularReflectance", "diffuseReflectance"),
+        AMOUNTS[node.type],
+        strict=True,
     ):
         given = node.take(amount)
         if given is None:
