@@ -17,22 +17,32 @@ class Context:
     files: Files
     journal: Journal
     defaults: dict[str, str] = field(default_factory=dict)
+    inclusions: int = 0
+    """How many files were included so far."""
+    ids: dict[str, Node] = field(default_factory=dict)
+    aliases: dict[str, str] = field(default_factory=dict)
+
+    def learn_ids(self) -> None:
+        """Look at all ids and aliases. Rules change elements in place, so that once is enough."""
+        for node in self.root.all():
+            if node.tag == "alias":
+                self.aliases[node.get("as", "")] = node.get("id", "")
+            elif node.tag != "ref" and "id" in node.attrib:
+                self.ids.setdefault(node.get("id"), node)
 
     def target(self, node: Node) -> Node | None:
         """What a reference stands for; the node itself if it is none; None where there is no such object."""
-        for _ in range(100):
-            if node is None or node.tag != "ref":
-                return node
-            wanted = self._real(node.get("id", ""))
-            node = next((n for n in self.root.all() if n.get("id") == wanted and n.tag not in ("ref", "alias")), None)
-        return None
-
-    def _real(self, name: str) -> str:
-        """An id without its aliases."""
-        aliases = {n.get("as"): n.get("id") for n in self.root.all() if n.tag == "alias"}
-        for _ in range(len(aliases)):
-            name = aliases.get(name, name)
-        return name
+        seen = set()
+        while node is not None and node.tag == "ref":
+            name = node.get("id", "")
+            while name in self.aliases and name not in seen:
+                seen.add(name)
+                name = self.aliases[name]
+            if id(node) in seen:
+                return None
+            seen.add(id(node))
+            node = self.ids.get(name)
+        return node
 
     def dereference(self, node: Node) -> Node:
         """The node itself, or, of a reference, a copy of what it stands for."""

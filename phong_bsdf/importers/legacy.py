@@ -15,7 +15,7 @@ from .xmlfile import Node
 
 VERSION = "3.0.0"
 DEEPEST_INCLUDE = 15
-LARGEST_SCENE = 10**6
+MOST_INCLUSIONS = 1000
 
 TRANSFORMS = ("lookAt", "lookat", "translate", "rotate", "scale", "matrix")
 
@@ -45,6 +45,7 @@ def convert_scene(
         raise ConversionError(f"{path}: this is a scene of Mitsuba {version[0]} already; render it as it is")
     context = Context(tree, files, journal)
     _inline(tree, context, [path.resolve()])
+    context.learn_ids()
     on_progress("converting", 0.3)
     upgrade(tree, version, journal)
     _names(context)
@@ -79,14 +80,15 @@ def _inline(node: Node, context: Context, open_files: list[Path]) -> None:
                 raise ConversionError(f"{where}: '{child.get('filename')}' includes itself, or is included too deeply")
             if not path.is_file():
                 raise ConversionError(f"{where}: there is no file '{child.get('filename')}'")
+            context.inclusions += 1
+            if context.inclusions > MOST_INCLUSIONS:
+                raise ConversionError(f"{where}: more than {MOST_INCLUSIONS} files are included")
             included = xmlfile.read(path)
             _inline(included, context, [*open_files, path])
             parts = list(included) if included.tag == "scene" else [included]
             index = list(node).index(child)
             node[index : index + 1] = parts
             context.journal.change(child.place, f"<include> of '{child.get('filename')}'", "its content is now here")
-            if sum(1 for _ in context.root.iter()) > LARGEST_SCENE:
-                raise ConversionError(f"{where}: the included files have more than {LARGEST_SCENE} elements")
         else:
             _inline(child, context, open_files)
 
