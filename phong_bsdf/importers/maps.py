@@ -78,7 +78,7 @@ class Maps:
         if changed is None:
             made.add("string", name="filename", value=self.files.relative(path))
         else:
-            what = "-".join([name, *(f"{x:.3g}" for x in dict.fromkeys(factor))])
+            what = "-".join([name, *(f"{x:.3g}".replace("+", "") for x in dict.fromkeys(factor))])
             new = bake.write(self.files, path, changed, what)
             made.add("string", name="filename", value=self.files.relative(new.resolve()))
             self.journal.change(
