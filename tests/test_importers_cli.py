@@ -81,7 +81,9 @@ def test_no_camera(folder):
 
 def test_what_mitsuba_refuses(folder):
     """A mesh that is missing: the scene is written, the reason is told, and the exit code is 1; without a check 0."""
-    Path("old.xml").write_text(OLD.replace("</scene>", '<shape type="obj"><string name="filename" value="no.obj"/></shape></scene>'))
+    Path("old.xml").write_text(
+        OLD.replace("</scene>", '<shape type="obj"><string name="filename" value="no.obj"/></shape></scene>')
+    )
     result = phong_bsdf("convert", "old.xml", "-o", "new.xml")
     assert result.exit_code == 1 and Path("new.xml").exists()
     assert "Mitsuba does not load it yet" in result.stderr and "no.obj" in result.stderr

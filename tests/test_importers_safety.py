@@ -148,7 +148,9 @@ def test_no_file_of_the_input_is_overwritten(tmp_path):
     image = tmp_path / "new_files/b-kd-0.5.exr"
     phong_bsdf.images.write(image, __import__("numpy").ones((2, 2, 3), "float32"))
     before = image.read_bytes()
-    (tmp_path / "a.obj").write_text("mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n")
+    (tmp_path / "a.obj").write_text(
+        "mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
+    )
     for _ in range(2):
         result = convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
         assert image.read_bytes() == before and image not in result.files
@@ -181,8 +183,14 @@ def test_any_obj_file(tmp_path, start, lines, newline):
     path.write_bytes((start + lines).replace("\n", newline).encode())
     triangles = only_conversion_errors(lambda: objfile.read(path, Journal()))
     if triangles is not None:
-        for index, array in ((triangles.v, triangles.positions), (triangles.vn, triangles.normals), (triangles.vt, triangles.texcoords)):
-            assert index.shape == triangles.v.shape and index.max(initial=-1) < len(array) and index.min(initial=0) >= -1
+        for index, array in (
+            (triangles.v, triangles.positions),
+            (triangles.vn, triangles.normals),
+            (triangles.vt, triangles.texcoords),
+        ):
+            assert (
+                index.shape == triangles.v.shape and index.max(initial=-1) < len(array) and index.min(initial=0) >= -1
+            )
         assert triangles.v.min(initial=0) >= 0
 
 
@@ -221,7 +229,9 @@ def test_any_mtl_file(tmp_path, statements, vocabulary):
     phong_bsdf.images.write(tmp_path / "a.png", __import__("numpy").full((2, 2, 3), 0.5, "float32"))
     (tmp_path / "m.mtl").write_text(f"newmtl m\n{statements}\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl m\nf 1 2 3\n")
-    result = only_conversion_errors(lambda: convert_model(tmp_path / "a.obj", tmp_path / "new.xml", vocabulary=vocabulary))
+    result = only_conversion_errors(
+        lambda: convert_model(tmp_path / "a.obj", tmp_path / "new.xml", vocabulary=vocabulary)
+    )
     if result is not None:
         assert all(record.line > 0 for record in result.records)
         mi.load_file(str(result.output))
@@ -232,15 +242,17 @@ TYPES = st.sampled_from(["phong", "coating", "mixturebsdf", "blendbsdf", "scale"
                          "homogeneous", "blinn", "bump", "microfacet", "roughplastic", "normalmap", "field", "mask", "gridtexture"])  # fmt: skip
 NAMES = st.sampled_from(["reflectance", "weights", "scale", "sigmaS", "sigmaA", "exponent", "alpha", "gamma", "distribution", "intensity",
                          "filename", "uscale", "toWorld", "diffuseAmount", "opacity", "a"])  # fmt: skip
-VALUE = st.sampled_from(["0.5", "1, 2, 3", "#ff0000", "400:1, 500:2", "phong", "x", "", "nan", "1e999", "$p", "a.png", "-1", "2"])
+VALUE = st.sampled_from(
+    ["0.5", "1, 2, 3", "#ff0000", "400:1, 500:2", "phong", "x", "", "nan", "1e999", "$p", "a.png", "-1", "2"]
+)
 PROPERTY = st.tuples(st.sampled_from(["float", "rgb", "srgb", "spectrum", "string", "integer", "boolean", "blackbody", "transform"]), NAMES, VALUE).map(
     lambda p: f'<{p[0]} name="{p[1]}" {"temperature" if p[0] == "blackbody" else "value"}="{p[2]}"/>'
 )  # fmt: skip
 ELEMENT = st.recursive(
     PROPERTY,
-    lambda inner: st.tuples(TAGS, TYPES, st.lists(inner, max_size=4), st.sampled_from(["", 'id="i"', 'name="reflectance"'])).map(
-        lambda e: f'<{e[0]} type="{e[1]}" {e[3]}>{"".join(e[2])}</{e[0]}>' if e[0] != "ref" else '<ref id="i"/>'
-    ),
+    lambda inner: st.tuples(
+        TAGS, TYPES, st.lists(inner, max_size=4), st.sampled_from(["", 'id="i"', 'name="reflectance"'])
+    ).map(lambda e: f'<{e[0]} type="{e[1]}" {e[3]}>{"".join(e[2])}</{e[0]}>' if e[0] != "ref" else '<ref id="i"/>'),
     max_leaves=12,
 )
 

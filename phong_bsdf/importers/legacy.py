@@ -36,34 +36,30 @@ def convert_scene(
     path, output = Path(path), Path(output)
     check_output(path, output)
     files, journal = Files(path, output, root), Journal()
-    on_progress("reading", 0)
-    tree = xmlfile.read(path)
+    with files.all_or_none():
+        on_progress("reading", 0)
+        tree = xmlfile.read(path)
+        version = _version(tree, path, journal)
+        context = Context(tree, files, journal)
+        _inline(tree, context, [path.resolve()])
+        context.learn_ids()
+        on_progress("converting", 0.3)
+        upgrade(tree, version, journal)
+        for rewrite in PASSES:
+            rewrite(context)
+        on_progress("writing", 0.9)
+        tree.attrib = {"version": VERSION}
+        images.replace_file(output, xmlfile.to_text(tree, _header(path, version, journal)))
+    return Conversion(output, (output, *files.written), journal.records())
+
+
+def _version(tree: Node, path: Path, journal: Journal) -> tuple[int, ...]:
     if tree.tag != "scene":
         raise ConversionError(f"{path}, line {tree.line}: the root element should be <scene>, not <{tree.tag}>")
     version = version_of(tree, journal)
     if version >= (2, 0, 0):
         raise ConversionError(f"{path}: this is a scene of Mitsuba {version[0]} already; render it as it is")
-    context = Context(tree, files, journal)
-    _inline(tree, context, [path.resolve()])
-    context.learn_ids()
-    on_progress("converting", 0.3)
-    upgrade(tree, version, journal)
-    _names(context)
-    values.rewrite_colors(tree, journal)
-    for rewrite in (
-        _transforms,
-        textures.rewrite,
-        bsdfs.rewrite,
-        plugins.rewrite,
-        catalogue.sift,
-        _filenames,
-        _settings,
-    ):
-        rewrite(context)
-    on_progress("writing", 0.9)
-    tree.attrib = {"version": VERSION}
-    images.replace_file(output, xmlfile.to_text(tree, _header(path, version, journal)))
-    return Conversion(output, (output, *files.written), journal.records())
+    return version
 
 
 def _inline(node: Node, context: Context, open_files: list[Path]) -> None:
@@ -169,3 +165,17 @@ def _header(path: Path, version: tuple[int, ...], journal: Journal) -> str:
     if losses:
         lines += ["Not carried over, or only nearly:", *(f"- {loss}" for loss in losses)]
     return "\n".join("    " + re.sub("-{2,}", "-", line).rstrip("-") for line in lines)
+
+
+# Each takes the Context. Names come first, what Mitsuba would refuse comes last.
+PASSES = (
+    _names,
+    values.rewrite_colors,
+    _transforms,
+    textures.rewrite,
+    bsdfs.rewrite,
+    plugins.rewrite,
+    catalogue.sift,
+    _filenames,
+    _settings,
+)

@@ -52,11 +52,19 @@ def convert_model(
     if camera not in CAMERAS:
         raise ConversionError(f"the camera must be one of {', '.join(CAMERAS)}, got '{camera}'")
     files, journal = Files(path, output, root), Journal()
-    on_progress("reading", 0)
-    triangles = objfile.read(path, journal)
-    if not len(triangles.v):
-        raise ConversionError(f"{path}: there are no faces in this file")
-    on_progress("materials", 0.5)
+    with files.all_or_none():
+        on_progress("reading", 0)
+        triangles = objfile.read(path, journal, lambda share: on_progress("reading", share / 2))
+        if not len(triangles.v):
+            raise ConversionError(f"{path}: there are no faces in this file")
+        on_progress("materials", 0.5)
+        scene = _scene(path, triangles, vocabulary, camera, files, journal, on_progress)
+        images.replace_file(output, xmlfile.to_text(scene, _header(path, journal)))
+    return Conversion(output, (output, *files.written), journal.records())
+
+
+def _scene(path: Path, triangles: Triangles, vocabulary: str, camera: str, files: Files, journal: Journal, on_progress):
+    """The new scene's root element; its meshes and images are written."""
     library = _library(path, triangles, files, journal)
     materials = Materials(vocabulary, Maps(files, journal), journal)
     scene = Node("scene", {"version": VERSION})
@@ -67,8 +75,7 @@ def convert_model(
         _camera(scene, triangles.positions[np.unique(triangles.v)])
     _lights(scene, math.pi if vocabulary == "reflectances" else 1.0)
     scene.extend(parts)
-    images.replace_file(output, xmlfile.to_text(scene, _header(path, journal)))
-    return Conversion(output, (output, *files.written), journal.records())
+    return scene
 
 
 def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -> dict[str, mtl.Material]:

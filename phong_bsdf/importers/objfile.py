@@ -7,6 +7,7 @@ material and smoothing group, and nothing but `v`, `vt`, `vn` and `f` besides.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ REMEDY = "pip install 'phong-bsdf[import]'"
 OTHER_LINE = re.compile(rb"^(?![ \t]*(?:v|vt|vn|f)[ \t])[^\n]+", re.M)
 CONTINUED = re.compile(rb"(?:[^\n]*\\\n)+[^\n]*")
 COMMENT = re.compile(rb"^([ \t]*(?:v|vt|vn|f)[ \t][^\n#]*)#[^\n]*", re.M)
-NO_NUMBER = re.compile(rb"^[ \t]*(?:v[tn]?[ \t][-+.\deE \t]*[^-+.\deE \t\n]|f[ \t][-/\d \t]*[^-/\d \t\n])", re.M)
+NO_NUMBER = re.compile(rb"^(?![ \t]*(?:v[tn]?[ \t][-+.\deE \t]*|f[ \t][-/\d \t]*|usemtl \d+)?$)", re.M)
 
 IGNORED = {b"g", b"o", b"vp", b"lod", b"bevel", b"c_interp", b"d_interp", b"shadow_obj", b"trace_obj", b"end", b"mg"}
 LEFT_OUT = {
@@ -51,20 +52,24 @@ class Triangles:
     """The texts of all `mtllib` lines, with their lines."""
 
 
-def read(path: Path, journal: Journal) -> Triangles:
-    """Read an OBJ file. Raises ConversionError."""
+def read(path: Path, journal: Journal, on_progress: Callable[[float], None] = lambda share: None) -> Triangles:
+    """Read an OBJ file. Raises ConversionError. `on_progress` hears the share done, which it guesses."""
     loader = _loader()
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConversionError(f"{path}: {error.strerror}") from None
     statements = _Statements(path.name, journal)
+    on_progress(0.1)
     text = statements.strip_from(_tidy(data))
     del data
+    on_progress(0.3)
     wrong = NO_NUMBER.search(text)
     if wrong:
         line = text.count(b"\n", 0, wrong.start()) + 1
-        raise ConversionError(f"{path}, line {line}: '{decoded(wrong[0])[-40:]}' should be numbers")
+        content = decoded(text[wrong.start() : wrong.start() + 200].split(b"\n")[0]).strip()
+        raise ConversionError(f"{path}, line {line}: '{content[:60]}' should be numbers")
+    on_progress(0.6)
     return _parse(loader, path, text, statements)
 
 

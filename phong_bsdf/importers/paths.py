@@ -4,8 +4,10 @@ A scene or a model is data from elsewhere. What it names is read only if it lies
 default the folder of the input. Absolute paths, addresses and links that lead out of it are refused.
 """
 
+import contextlib
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from .records import ConversionError
@@ -59,7 +61,7 @@ class Files:
 
         `stem` may be any text. Two calls never give the same file, and none gives a file that the input names.
         """
-        folder = self.output.parent / f"{self.output.stem}_files"
+        folder = self._folder
         folder.mkdir(exist_ok=True)
         clean = re.sub(r"[^\w.-]+", "-", stem).strip("-.")[:60] or "file"
         path, number = folder / f"{clean}{suffix}", 1
@@ -68,6 +70,22 @@ class Files:
             path = folder / f"{clean}-{number}{suffix}"
         self.written.append(path)
         return path
+
+    @contextlib.contextmanager
+    def all_or_none(self) -> Iterator[None]:
+        """Inside, an error takes the files with it that were written so far."""
+        try:
+            yield
+        except BaseException:
+            for path in self.written:
+                path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()
+            raise
+
+    @property
+    def _folder(self) -> Path:
+        return self.output.parent / f"{self.output.stem}_files"
 
 
 def check_output(source: Path, output: Path) -> None:

@@ -54,9 +54,10 @@ def set_color(node: Node, values: list[float]) -> None:
     node.set("value", to_text(values))
 
 
-def rewrite_colors(root: Node, journal: Journal) -> None:
-    """All `<srgb>`, `<rgb>`, `<spectrum>` and `<blackbody>` below `root`."""
-    for node in root.all():
+def rewrite_colors(context) -> None:
+    """All `<srgb>`, `<rgb>`, `<spectrum>` and `<blackbody>` of a scene."""
+    journal = context.journal
+    for node in context.root.all():
         if node.tag in ("srgb", "rgb"):
             _rewrite_rgb(node, journal)
         elif node.tag == "spectrum" and not node.type:
