@@ -29,7 +29,20 @@ OLD = """\
         <bsdf type="roughdiffuse"/></shape>
 </scene>
 """
-OBJ = "mtllib a.mtl\nv -1 0 1\nv 1 0 1\nv 1 0 -1\nv -1 0 -1\nv 0 1 0\nusemtl stone\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 4 3 2 1\n"
+OBJ = """\
+mtllib a.mtl
+v -1 0 1
+v 1 0 1
+v 1 0 -1
+v -1 0 -1
+v 0 1 0
+usemtl stone
+f 1 2 5
+f 2 3 5
+f 3 4 5
+f 4 1 5
+f 4 3 2 1
+"""
 MTL = "newmtl stone\nKd 0.7 0.6 0.4\nKs 0.3 0.3 0.3\nNs 30\nillum 2\n"
 
 

@@ -169,7 +169,7 @@ def test_textures(variant, tmp_path):
         + bitmap("exponent", 'name="exponent"')
     )
     image = ratio(tmp_path, phong(inside), objects=bitmap("diffuse", 'id="map"'), view=np.array([0.0, 0.0, 1.0]))
-    # The middle half of the square. The image's first row is at v = 0, the square's lower edge; the camera's left is +x.
+    # The middle half of the square. The image's first row is at v = 0, the square's lower edge.
     middle = {name: np.repeat(np.repeat(array[2:6, 2:6, 0], 2, 0), 2, 1) for name, array in maps.items()}
     expected = np.vectorize(lambda d, s, p: formula(d, s, p, v=np.array([0.0, 0.0, 1.0])))(*middle.values())
     assert image[..., 1] == pytest.approx(expected[::-1], rel=2e-3)

@@ -4,11 +4,12 @@ import os
 import time
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import phong_bsdf  # noqa: F401
+import phong_bsdf
 from phong_bsdf.importers import ConversionError, convert_model, convert_scene, mtl, objfile
 from phong_bsdf.importers.records import Journal
 from phong_bsdf.importers.xmlfile import DEEPEST
@@ -69,11 +70,14 @@ def test_document_types_are_refused(tmp_path, text):
         ('<scene version="six"/>', "'six' is no version"),
         ('<scene version="3.0.0"/>', "a scene of Mitsuba 3 already"),
         ('<scene version="0.6.0">' + "<shape>" * DEEPEST + "</shape>" * DEEPEST + "</scene>", "nested more than"),
-        ('<scene version="0.6.0"><ref id="x" name="a"/><bsdf type="coating"><ref id="x"/></bsdf></scene>', "no object with the id 'x'"),
+        ('<scene version="0.6.0"><ref id="x" name="a"/><bsdf type="coating"><ref id="x"/></bsdf>'
+         '</scene>', "no object with the id 'x'"),
         ('<scene version="0.6.0"><bsdf type="coating"/></scene>', "needs one BSDF inside, has 0"),
-        ('<scene version="0.6.0"><bsdf type="mixturebsdf"><string name="weights" value="1"/></bsdf></scene>', "one weight"),
-        ('<scene version="0.6.0"><bsdf type="blinn_microfacet"><float name="exponent" value="x"/></bsdf></scene>', "'x' should be numbers"),
-        ('<scene version="0.6.0"><shape type="sphere"><srgb name="a" value="#12"/></shape></scene>', "six hexadecimal digits"),
+        ('<scene version="0.6.0"><bsdf type="mixturebsdf"><string name="weights" value="1"/></bsdf>'
+         '</scene>', "one weight"),
+        ('<scene version="0.6.0"><bsdf type="blinn_microfacet"><float name="exponent" value="x"/></bsdf>'
+         '</scene>', "'x' should be numbers"),
+        ('<scene version="0.6.0"><shape type="sphere"><srgb name="a" value="#12"/></shape></scene>', "six hexadecimal"),
     ],
 )  # fmt: skip
 def test_broken_scenes(tmp_path, text, match):
@@ -88,7 +92,9 @@ def naming(file):
     return f'<scene version="0.6.0"><shape type="obj"><string name="filename" value="{file}"/></shape></scene>'
 
 
-@pytest.mark.parametrize("file", ["/etc/passwd", "C:/x.obj", "C:\\x.obj", "\\\\host\\share\\x", "file:///etc/passwd", "http://localhost/x"])  # fmt: skip
+@pytest.mark.parametrize(
+    "file", ["/etc/passwd", "C:/x.obj", "C:\\x.obj", "\\\\host\\share\\x", "file:///etc/passwd", "http://localhost/x"]
+)
 def test_absolute_paths_are_refused(tmp_path, file):
     """And addresses."""
     refused(tmp_path, naming(file), "absolute path or an address")
@@ -105,7 +111,12 @@ def test_ways_out_are_refused(tmp_path, file):
 
 def test_includes_do_not_leave_nor_loop(tmp_path):
     """An include of itself, directly or not, of a file elsewhere, or of none."""
-    for file, match in (("old.xml", "includes itself"), ("b.xml", "includes itself"), ("../b.xml", "leads out"), ("c.xml", "there is no file")):  # fmt: skip
+    for file, match in (
+        ("old.xml", "includes itself"),
+        ("b.xml", "includes itself"),
+        ("../b.xml", "leads out"),
+        ("c.xml", "there is no file"),
+    ):
         (tmp_path / "b.xml").write_text('<scene version="0.6.0"><include filename="b.xml"/></scene>')
         refused(tmp_path, f'<scene version="0.6.0"><include filename="{file}"/></scene>', match)
 
@@ -146,7 +157,7 @@ def test_no_file_of_the_input_is_overwritten(tmp_path):
     (tmp_path / "new_files").mkdir()
     (tmp_path / "new_files/m.mtl").write_text("newmtl a\nKd 0.5 0.5 0.5\nmap_Kd b-kd-0.5.exr\n")
     image = tmp_path / "new_files/b-kd-0.5.exr"
-    phong_bsdf.images.write(image, __import__("numpy").ones((2, 2, 3), "float32"))
+    phong_bsdf.images.write(image, np.ones((2, 2, 3), "float32"))
     before = image.read_bytes()
     (tmp_path / "a.obj").write_text(
         "mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
@@ -159,8 +170,8 @@ def test_no_file_of_the_input_is_overwritten(tmp_path):
 # Fuzzing -------------------------------------------------------------------------------------------------
 
 WORDS = st.sampled_from(
-    ["v", "vt", "vn", "f", "usemtl", "mtllib", "s", "g", "o", "l", "#", "\\", "1", "2", "3", "-1", "0", "1/1", "2//1", "3/1/1", "1/",
-     "/", "//", "off", "nan", "inf", "1e999", "-0.5", "99999999999", "a b", "\t", "\u00e4", "\0", "\"", "$x", "&lt;"]
+    ["v", "vt", "vn", "f", "usemtl", "mtllib", "s", "g", "o", "l", "#", "\\", "1", "2", "3", "-1", "0", "1/1", "2//1",
+     "3/1/1", "1/", "/", "//", "off", "nan", "inf", "1e999", "-0.5", "99999999999", "a b", "\t", "\u00e4", "\0", "\"", "$x", "&lt;"]
 )  # fmt: skip
 LINES = st.lists(st.lists(WORDS, max_size=7).map(" ".join), max_size=25).map("\n".join)
 START = st.sampled_from(["", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nvt 0 0\nvn 0 0 1\n"])
@@ -212,21 +223,23 @@ NUMBER = st.floats(-2, 300).map(lambda x: f"{x:.3g}") | st.sampled_from(["nan", 
 COLOR = st.lists(NUMBER, max_size=4).map(" ".join)
 NAME = st.sampled_from(["a.png", "no.png", "a b.png", "../x.png", "/x.png", "a.mtl", ""])
 OPTION = st.sampled_from(["-s", "-o", "-t", "-mm", "-bm", "-clamp", "-imfchan", "-blendu", "-cc"])
+OPTIONS = st.lists(st.tuples(OPTION, NUMBER).map(" ".join), max_size=3).map(" ".join)
 STATEMENT = st.one_of(
     st.tuples(st.sampled_from(["Kd", "Ks", "Ka", "Ke", "Tf"]), COLOR),
     st.tuples(st.sampled_from(["Ns", "Ni", "d", "Tr", "illum", "Pr"]), NUMBER),
     st.tuples(st.just("illum"), st.integers(-1, 11).map(str)),
     st.tuples(st.sampled_from(["map_Kd", "map_Ks", "map_Ns", "map_d", "bump", "norm", "refl"]),
-              st.tuples(st.lists(st.tuples(OPTION, NUMBER).map(" ".join), max_size=3).map(" ".join), NAME).map(" ".join)),
+              st.tuples(OPTIONS, NAME).map(" ".join)),
     st.tuples(st.sampled_from(["newmtl", "#", "foo", "d -halo"]), NUMBER),
 ).map(" ".join)  # fmt: skip
 
 
+@pytest.mark.slow
 @FUZZ
 @given(st.lists(STATEMENT, max_size=12).map("\n".join), st.sampled_from(["coefficients", "reflectances"]))
 def test_any_mtl_file(tmp_path, statements, vocabulary):
     """Any material becomes a BSDF that Mitsuba loads."""
-    phong_bsdf.images.write(tmp_path / "a.png", __import__("numpy").full((2, 2, 3), 0.5, "float32"))
+    phong_bsdf.images.write(tmp_path / "a.png", np.full((2, 2, 3), 0.5, "float32"))
     (tmp_path / "m.mtl").write_text(f"newmtl m\n{statements}\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl m\nf 1 2 3\n")
     result = only_conversion_errors(
@@ -237,17 +250,74 @@ def test_any_mtl_file(tmp_path, statements, vocabulary):
         mi.load_file(str(result.output))
 
 
-TAGS = st.sampled_from(["bsdf", "shape", "texture", "emitter", "sensor", "film", "integrator", "medium", "sampler", "luminaire", "camera", "ref"])  # fmt: skip
-TYPES = st.sampled_from(["phong", "coating", "mixturebsdf", "blendbsdf", "scale", "bitmap", "sphere", "sky", "ldrfilm", "adaptive", "ward",
-                         "homogeneous", "blinn", "bump", "microfacet", "roughplastic", "normalmap", "field", "mask", "gridtexture"])  # fmt: skip
-NAMES = st.sampled_from(["reflectance", "weights", "scale", "sigmaS", "sigmaA", "exponent", "alpha", "gamma", "distribution", "intensity",
-                         "filename", "uscale", "toWorld", "diffuseAmount", "opacity", "a"])  # fmt: skip
+TAGS = st.sampled_from(
+    [
+        "bsdf",
+        "shape",
+        "texture",
+        "emitter",
+        "sensor",
+        "film",
+        "integrator",
+        "medium",
+        "sampler",
+        "luminaire",
+        "camera",
+        "ref",
+    ]
+)
+TYPES = st.sampled_from(
+    [
+        "phong",
+        "coating",
+        "mixturebsdf",
+        "blendbsdf",
+        "scale",
+        "bitmap",
+        "sphere",
+        "sky",
+        "ldrfilm",
+        "adaptive",
+        "ward",
+        "homogeneous",
+        "blinn",
+        "bump",
+        "microfacet",
+        "roughplastic",
+        "normalmap",
+        "field",
+        "mask",
+        "gridtexture",
+    ]
+)
+NAMES = st.sampled_from(
+    [
+        "reflectance",
+        "weights",
+        "scale",
+        "sigmaS",
+        "sigmaA",
+        "exponent",
+        "alpha",
+        "gamma",
+        "distribution",
+        "intensity",
+        "filename",
+        "uscale",
+        "toWorld",
+        "diffuseAmount",
+        "opacity",
+        "a",
+    ]
+)
 VALUE = st.sampled_from(
     ["0.5", "1, 2, 3", "#ff0000", "400:1, 500:2", "phong", "x", "", "nan", "1e999", "$p", "a.png", "-1", "2"]
 )
-PROPERTY = st.tuples(st.sampled_from(["float", "rgb", "srgb", "spectrum", "string", "integer", "boolean", "blackbody", "transform"]), NAMES, VALUE).map(
+VALUES = st.sampled_from(["float", "rgb", "srgb", "spectrum", "string", "integer", "boolean", "blackbody", "transform"])
+PROPERTY = st.tuples(VALUES, NAMES, VALUE).map(
     lambda p: f'<{p[0]} name="{p[1]}" {"temperature" if p[0] == "blackbody" else "value"}="{p[2]}"/>'
-)  # fmt: skip
+)
+ATTRIBUTE = st.sampled_from(["", 'id="i"', 'name="reflectance"'])
 ELEMENT = st.recursive(
     PROPERTY,
     lambda inner: st.tuples(
@@ -257,6 +327,7 @@ ELEMENT = st.recursive(
 )
 
 
+@pytest.mark.slow
 @FUZZ
 @given(st.lists(ELEMENT, max_size=4).map("".join), st.sampled_from(["0.2.0", "0.3.0", "0.4.1", "0.5.0", "0.6.0"]))
 def test_any_scene(tmp_path, elements, version):

@@ -43,7 +43,7 @@ def read(path: Path, gamma: float | None = None) -> np.ndarray:
 
 
 def write(files: Files, path: Path, image: np.ndarray, what: str) -> Path:
-    """Write a changed copy of the image `path` among the new scene's files; `what` was done becomes part of its name."""
+    """Write a changed copy of the image `path` among the new scene's files, `what` was done in its name."""
     new = files.beside_output(f"{path.stem}-{what}", ".exr")
     images.write(new, image)
     return new

@@ -124,7 +124,7 @@ def _coating(node: Node, context: Context) -> None:
     node.append(base)
     context.journal.loss(
         node.place, f"'coating' over '{base.type}'",
-        f"approximated by 'mirrorblend', km = {share:.3g} as at normal incidence, without Fresnel's rise at grazing angles",
+        f"approximated by 'mirrorblend', km = {share:.3g} as at normal incidence, without the rise at grazing angles",
     )  # fmt: skip
 
 
@@ -311,9 +311,8 @@ def _diffuse(node: Node, context: Context) -> None:
         node.set("type", "diffuse")
         alpha = node.take("alpha")
         node.take("use_fast_approx")
-        context.journal.loss(node.place, "'roughdiffuse'", "now 'diffuse', as of alpha 0: " + (
-            f"its roughness {alpha.get('value')} is left out" if alpha is not None and alpha.get("value") else "no roughness"
-        ))  # fmt: skip
+        roughness = f"alpha {alpha.get('value')}" if alpha is not None else "the default roughness"
+        context.journal.loss(node.place, "'roughdiffuse'", f"now 'diffuse': {roughness} is left out")
 
 
 def _only_diffuse(node: Node, context: Context) -> None:

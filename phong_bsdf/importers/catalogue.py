@@ -60,13 +60,15 @@ PLUGINS = {
         "linearcurve": f"{_TRANSFORM} filename",
     },
     "bsdf": {
-        "diffuse": "reflectance", "dielectric": _GLASS, "thindielectric": _GLASS, "roughdielectric": f"{_GLASS} {_ROUGH}",
+        "diffuse": "reflectance", "dielectric": _GLASS, "thindielectric": _GLASS,
+        "roughdielectric": f"{_GLASS} {_ROUGH}",
         "conductor": "material eta k specular_reflectance",
         "roughconductor": f"material eta k specular_reflectance {_ROUGH}",
         "plastic": "int_ior ext_ior diffuse_reflectance specular_reflectance nonlinear",
         "roughplastic": "int_ior ext_ior diffuse_reflectance specular_reflectance nonlinear distribution alpha "
                         "sample_visible",
-        "bumpmap": "scale", "normalmap": "normalmap", "blendbsdf": "weight", "mask": "opacity", "twosided": "", "null": "",
+        "bumpmap": "scale", "normalmap": "normalmap", "blendbsdf": "weight", "mask": "opacity", "twosided": "",
+        "null": "",
         "phong": _LOBE, "blinnphong": _LOBE, "mirrorblend": "km",
     },
     "texture": {

@@ -154,8 +154,9 @@ class Materials:
         made.append(self.maps.color(material, name, "kd", default, gain / AMBIENT, made))
         made.add("float", name="ks", value="0")
         self.journal.change(
-            material.place("illum" if name == "kd" else "ke"), f"'{material.name}' shows a colour that no light changes",
-            "as a surface that only the ambient light of 'whitted' reaches; other integrators show it black, and it lights nothing",
+            material.place("illum" if name == "kd" else "ke"),
+            f"'{material.name}' shows a colour that no light changes",
+            "only the ambient light of 'whitted' reaches it; other integrators show it black, and it lights nothing",
         )  # fmt: skip
 
     def _mirror(self, parent: Node, material: Material) -> None:

@@ -19,8 +19,9 @@ MAPS = {
     "map_bump": "bump", "bump": "bump", "norm": "norm", "map_kn": "norm",
 }  # fmt: skip
 LEFT_OUT = {
-    "disp": "displacement is not rendered", "decal": "decals are not rendered", "refl": "reflection maps are not rendered: "
-    "mirrors show the scene", "sharpness": "it is about reflection maps", "map_aat": "anti-aliasing is the sampler's matter",
+    "disp": "displacement is not rendered", "decal": "decals are not rendered",
+    "refl": "reflection maps are not rendered: mirrors show the scene", "sharpness": "it is about reflection maps",
+    "map_aat": "anti-aliasing is the sampler's matter",
     "aniso": "anisotropy is not rendered", "anisor": "anisotropy is not rendered",
 }  # fmt: skip
 PHYSICAL = ("pr", "pm", "ps", "pc", "pcr", "map_pr", "map_pm", "map_ps", "map_pc", "map_pcr", "map_refl")

@@ -46,7 +46,7 @@ class Files:
             raise ConversionError(f"{where}: '{name}' cannot be read: {error}") from None
         if not found.is_relative_to(self.root):
             raise ConversionError(
-                f"{where}: '{name}' leads out of '{self.root}'. If that is intended, name a folder that holds all files: "
+                f"{where}: '{name}' leads out of '{self.root}'. If that is right, name a folder that holds all files: "
                 f"--root {os.path.commonpath([found, self.root])}"
             )
         self._named.add(found)

@@ -1,4 +1,4 @@
-"""Textures of Mitsuba 0.6 as those of Mitsuba 3: `scale`, `bitmap` with gamma, filters and wrapping, and what is gone."""
+"""Textures of Mitsuba 0.6 as those of Mitsuba 3: `scale`, `bitmap` with all its options, and what is gone."""
 
 import numpy as np
 

@@ -25,7 +25,7 @@ def write(folder: Path, triangles: int, smooth: bool) -> Path:
     positions = np.stack([x, 0.1 * np.sin(9 * x) * np.cos(7 * z), z], axis=-1).reshape(-1, 3)
     normals = np.stack([-0.9 * np.cos(9 * x) * np.cos(7 * z), x * 0 + 1, 0.7 * np.sin(9 * x) * np.sin(7 * z)], axis=-1)
     corner = (np.arange(n * (n - 1)).reshape(n - 1, n)[:, :-1].ravel() + 1)[:, None]
-    faces = np.concatenate([corner + [0, n, 1], corner + [1, n, n + 1]])
+    faces = np.concatenate([corner + np.array([0, n, 1]), corner + np.array([1, n, n + 1])])
     path = folder / "large.obj"
     with open(path, "w") as file:
         file.write("mtllib large.mtl\n")
