@@ -171,7 +171,8 @@ def test_no_file_of_the_input_is_overwritten(tmp_path):
 
 WORDS = st.sampled_from(
     ["v", "vt", "vn", "f", "usemtl", "mtllib", "s", "g", "o", "l", "#", "\\", "1", "2", "3", "-1", "0", "1/1", "2//1",
-     "3/1/1", "1/", "/", "//", "off", "nan", "inf", "1e999", "-0.5", "99999999999", "a b", "\t", "\u00e4", "\0", "\"", "$x", "&lt;"]
+     "3/1/1", "1/", "/", "//", "off", "nan", "inf", "1e999", "-0.5", "99999999999", "a b",
+     "\t", "\u00e4", "\0", "\"", "$x", "&lt;"]
 )  # fmt: skip
 LINES = st.lists(st.lists(WORDS, max_size=7).map(" ".join), max_size=25).map("\n".join)
 START = st.sampled_from(["", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nvt 0 0\nvn 0 0 1\n"])

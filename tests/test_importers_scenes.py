@@ -8,7 +8,7 @@ import pytest
 
 import phong_bsdf  # noqa: F401
 from phong_bsdf import images, lobes
-from phong_bsdf.importers import ConversionError, convert_scene
+from phong_bsdf.importers import ConversionError, catalogue, convert_scene
 
 SENSOR = """\
 <sensor type="perspective">
@@ -218,6 +218,7 @@ CASES = {
         '<rgb name="sigma_t" value="0.5, 0.75, 1"/><rgb name="albedo" value="0.5, 0.6666667, 0.75"/>'
         '<float name="scale" value="4"/>', False,
     ),
+    "unknown element": ('<null id="a"/>', '<integrator type="direct"/>', True),
     "animation": (
         '<shape type="sphere"><animation name="toWorld"><transform time="0"><translate x="1"/></transform>'
         '<transform time="1"><translate x="2"/></transform></animation></shape>',
@@ -269,6 +270,51 @@ def test_each_old_word(convert, name):
     assert bool(about_it) == bool(lost), result.records
     if lost is False:
         assert result.changes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("tag", "plugin"), [(tag, plugin) for tag, plugins in catalogue.PLUGINS.items() for plugin in plugins]
+)
+def test_the_catalogue_is_mitsubas(tag, plugin):
+    """No parameter that it lists is one that Mitsuba would refuse as unknown, whatever else it may want."""
+    mi.set_variant("scalar_rgb")
+    for parameter in catalogue.PLUGINS[tag][plugin].split():
+        inside = f'<float name="{parameter}" value="0.5"/>'
+        needed = f"{BASIC.get((tag, plugin), '')}" + BASIC.get((tag, plugin, parameter), inside)
+        text = f'<{tag} type="{plugin}">{needed}</{tag}>'
+        for outer in AROUND.get(tag, ()):
+            text = f"<{outer}>{text}</{outer.split()[0]}>"
+        try:
+            mi.load_string(f'<scene version="3.0.0">{text}</scene>')
+        except RuntimeError as error:
+            assert not re.search(rf'unreferenced.*"{parameter}"', str(error), re.S), str(error)
+
+
+AROUND = {
+    "film": ['sensor type="perspective"'],
+    "sampler": ['sensor type="perspective"'],
+    "rfilter": ['film type="hdrfilm"', 'sensor type="perspective"'],
+    "bsdf": ['shape type="sphere"'],
+    "texture": ['bsdf type="diffuse"', 'shape type="sphere"'],
+    "phase": ['medium type="homogeneous"'],
+    "volume": ['medium type="homogeneous"'],
+}
+BASIC = {
+    ("bsdf", "twosided"): '<bsdf type="diffuse"/>',
+    ("bsdf", "mask"): '<bsdf type="diffuse"/>',
+    ("bsdf", "mirrorblend"): '<bsdf type="diffuse"/>',
+    ("bsdf", "blendbsdf"): '<bsdf type="diffuse"/><bsdf type="phong"/>',
+    ("integrator", "aov"): '<string name="aovs" value="a:depth"/>',
+    ("integrator", "aov", "aovs"): "",
+    ("sensor", "thinlens"): '<float name="fov" value="40"/><float name="aperture_radius" value="1"/>',
+    ("sensor", "thinlens", "aperture_radius"): "",
+    ("sensor", "thinlens", "fov"): "",
+    ("sensor", "thinlens", "fov_axis"): '<string name="fov_axis" value="x"/>',
+    ("sensor", "perspective", "fov_axis"): '<float name="fov" value="40"/><string name="fov_axis" value="x"/>',
+    ("emitter", "projector", "fov_axis"): '<float name="fov" value="40"/><string name="fov_axis" value="x"/>',
+    ("shape", "instance"): '<shape type="shapegroup"><shape type="sphere"/></shape>',
+}
 
 
 def test_records_tell_the_line(convert):

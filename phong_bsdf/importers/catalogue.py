@@ -10,18 +10,20 @@ _TEXTURE = "filename wrap_mode filter_type raw to_uv format accel"
 _INTEGRATOR = "block_size samples_per_pass timeout hide_emitters"
 _PATH = f"max_depth rr_depth {_INTEGRATOR}"
 _CAMERA = f"{_TRANSFORM} near_clip far_clip shutter_open shutter_close srf"
-_PERSPECTIVE = f"{_CAMERA} fov focal_length fov_axis principal_point_offset_x principal_point_offset_y"
+_VIEW = "fov focal_length fov_axis"
+_PERSPECTIVE = f"{_CAMERA} {_VIEW} principal_point_offset_x principal_point_offset_y"
 _GLASS = "int_ior ext_ior specular_reflectance specular_transmittance"
 _ROUGH = "distribution alpha alpha_u alpha_v sample_visible"
 _LOBE = "kd ks p diffuse_reflectance specular_reflectance exponent ensure_energy_conservation"
-_SHAPE = f"{_TRANSFORM} flip_normals silhouette_sampling_weight interior exterior"
+_SHAPE = f"{_TRANSFORM} flip_normals silhouette_sampling_weight"
 _MESH = f"{_SHAPE} filename face_normals flip_tex_coords"
 _GRID = f"{_TRANSFORM} filename grid use_grid_bbox max_value filter_type wrap_mode raw accel"
 
 # tag -> plugin -> parameters
 PLUGINS = {
     "integrator": {
-        "path": _PATH, "volpath": _PATH, "volpathmis": f"{_PATH} use_spectral_mis", "ptracer": _PATH,
+        "path": _PATH, "volpath": _PATH, "volpathmis": f"{_PATH} use_spectral_mis", 
+        "ptracer": "max_depth rr_depth samples_per_pass timeout hide_emitters",
         "direct": f"shading_samples emitter_samples bsdf_samples {_INTEGRATOR}",
         "aov": f"aovs {_INTEGRATOR}", "moment": _INTEGRATOR,
         "whitted": "convention max_depth shadows ambient hide_emitters specialize",
@@ -39,7 +41,7 @@ PLUGINS = {
         "box": "", "tent": "radius", "gaussian": "stddev", "mitchell": "B C", "catmullrom": "", "lanczos": "lobes",
     },
     "sensor": {
-        "perspective": _PERSPECTIVE, "thinlens": f"{_PERSPECTIVE} aperture_radius focus_distance",
+        "perspective": _PERSPECTIVE, "thinlens": f"{_CAMERA} {_VIEW} aperture_radius focus_distance",
         "orthographic": _CAMERA, "radiancemeter": f"{_TRANSFORM} origin direction srf shutter_open shutter_close",
         "irradiancemeter": "srf shutter_open shutter_close",
     },
@@ -76,8 +78,7 @@ PLUGINS = {
         "volume": "",
     },
     "medium": {
-        "homogeneous": f"albedo sigma_t scale sample_emitters {_TRANSFORM}",
-        "heterogeneous": f"albedo sigma_t scale sample_emitters {_TRANSFORM}",
+        "homogeneous": "albedo sigma_t scale sample_emitters", "heterogeneous": "albedo sigma_t scale sample_emitters",
     },
     "volume": {"constvolume": "value", "gridvolume": _GRID},
     "phase": {"isotropic": "", "hg": "g", "rayleigh": "", "blendphase": "weight", "sggx": "S"},
@@ -100,6 +101,7 @@ FALLBACKS = {
 OBJECTS = ("bsdf", "texture", "emitter", "sensor", "shape", "medium", "film", "sampler", "rfilter", "integrator",
            "phase", "volume", "ref")  # fmt: skip
 VALUES = ("boolean", "integer", "float", "string", "point", "vector", "rgb", "spectrum", "transform")
+TAGS = {*OBJECTS, *VALUES, "default", "alias", "path", *["translate", "rotate", "scale", "matrix", "lookat"]}
 
 # In these, an object's name is that of a parameter.
 NAMED = ("texture", "volume")
@@ -109,7 +111,10 @@ def sift(context: Context) -> None:
     """Leave out what Mitsuba 3 would refuse: plugins and parameters that it does not have."""
     for parent in reversed(context.root.all()):
         for node in parent.nodes:
-            if node.tag in PLUGINS and node.type not in PLUGINS[node.tag]:
+            if node.tag not in TAGS:
+                parent.remove(node)
+                context.journal.loss(node.place, f"<{node.tag}>", "left out: Mitsuba 3 has no such element")
+            elif node.tag in PLUGINS and node.type not in PLUGINS[node.tag]:
                 _replace(node, parent, context)
         _parameters(parent, context)
 
@@ -131,10 +136,7 @@ def _parameters(node, context: Context) -> None:
     if known is None:
         return
     for child in node.nodes:
-        if child.tag not in OBJECTS and child.tag not in VALUES:
-            node.remove(child)
-            context.journal.loss(child.place, f"<{child.tag}>", f"left out: no part of {node.tag} '{node.type}'")
-        elif _is_parameter(child, context) and not _belongs(child, node, known.split()):
+        if _is_parameter(child, context) and not _belongs(child, node, known.split()):
             node.remove(child)
             without_effect = child.name in WITHOUT_EFFECT or child.name.startswith("label") or node.tag == "sampler"
             note = context.journal.change if without_effect or _is_of_method(node) else context.journal.loss
