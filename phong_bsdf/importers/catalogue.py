@@ -22,7 +22,7 @@ _GRID = f"{_TRANSFORM} filename grid use_grid_bbox max_value filter_type wrap_mo
 # tag -> plugin -> parameters
 PLUGINS = {
     "integrator": {
-        "path": _PATH, "volpath": _PATH, "volpathmis": f"{_PATH} use_spectral_mis", 
+        "path": _PATH, "volpath": _PATH, "volpathmis": f"{_PATH} use_spectral_mis",
         "ptracer": "max_depth rr_depth samples_per_pass timeout hide_emitters",
         "direct": f"shading_samples emitter_samples bsdf_samples {_INTEGRATOR}",
         "aov": f"aovs {_INTEGRATOR}", "moment": _INTEGRATOR,
