@@ -20,6 +20,7 @@ check: $(READY)
 bench: $(READY)
 	@$(BIN)/python tests/benchmarks/lobes.py
 	@$(BIN)/python tests/benchmarks/floor.py
+	@$(BIN)/python tests/benchmarks/model.py
 
 figures: $(READY)
 	@$(BIN)/python docs/figures.py

@@ -245,7 +245,13 @@ def test_a_texture_is_the_right_way_up(convert, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "first"),
-    [("-s 2 2", [1, 0, 0]), ("-o 0.5 0", [0, 1, 0]), ("-o 0 0.5", [0, 0, 1]), ("-o 1 0 -clamp on", [0, 1, 0])],
+    [
+        ("-s 2 2", [1, 0, 0]),
+        ("-s 1 0.5", [0, 0, 1]),
+        ("-o 0.5 0", [0, 1, 0]),
+        ("-o 0 0.5", [0, 0, 1]),
+        ("-o 1 0 -clamp on", [0, 1, 0]),
+    ],
 )
 def test_scale_and_offset(convert, tmp_path, options, first):
     """What the upper left quarter shows: u' = s u + o, v' = s v + o, counted from the lower edge."""
@@ -254,7 +260,7 @@ def test_scale_and_offset(convert, tmp_path, options, first):
     image = render(64)
     lit = np.argwhere(np.abs(image - BACK).max(axis=2) > 0.01)
     low, size = lit.min(axis=0), np.ptp(lit, axis=0) + 1
-    share = 0.125 if "-s" in options else 0.25
+    share = 0.125 if "-s 2" in options else 0.25
     row, column = (low + share * size).astype(int)
     assert image[row, column] == pytest.approx(first, abs=1e-3)
     assert ("clamp" in options) == ('<string name="wrap_mode" value="clamp"/>' in text)
@@ -273,9 +279,10 @@ def test_a_map_times_its_colour(convert, tmp_path):
 
 def test_a_map_with_a_black_colour(convert, tmp_path):
     """Programs write Kd 0 0 0 with a map and mean the map."""
-    image_of(tmp_path / "grey.png", np.full((4, 4, 3), 188))
-    result, text, _ = convert(square(), "newmtl m\nKd 0 0 0\nmap_Kd grey.png\n")
-    assert 'value="grey.png"' in text and any("the map counts" in r.why for r in result.changes)
+    image_of(tmp_path / "$grey.png", np.full((4, 4, 3), 188))
+    result, text, render = convert(square(), "newmtl m\nKd 0 0 0\nmap_Kd $grey.png\n")
+    assert render()[7, 7].min() > 0.3
+    assert 'value="\\$grey.png"' in text and any("the map counts" in r.why for r in result.changes)
 
 
 def test_maps_of_numbers(convert, tmp_path):

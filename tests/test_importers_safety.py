@@ -153,18 +153,36 @@ def test_outputs_that_are_refused(tmp_path, monkeypatch, output):
 
 
 def test_no_file_of_the_input_is_overwritten(tmp_path):
-    """Also where the folder for new files is the folder of old ones."""
-    (tmp_path / "new_files").mkdir()
-    (tmp_path / "new_files/m.mtl").write_text("newmtl a\nKd 0.5 0.5 0.5\nmap_Kd b-kd-0.5.exr\n")
-    image = tmp_path / "new_files/b-kd-0.5.exr"
-    phong_bsdf.images.write(image, np.ones((2, 2, 3), "float32"))
-    before = image.read_bytes()
-    (tmp_path / "a.obj").write_text(
-        "mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
-    )
+    """Also where the folder for new files is the folder of old ones, and a new name would be that of an old file."""
+    folder = tmp_path / "new_files"
+    folder.mkdir()
+    (folder / "m.mtl").write_text("newmtl a\nKd 0.5 0.5 0.5\nmap_Kd b.exr\nnewmtl z\nmap_Ks b-kd-0.5.exr\n")
+    for name in ("b", "b-kd-0.5"):
+        phong_bsdf.images.write(folder / f"{name}.exr", np.ones((2, 2, 3), np.float32))
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    faces = "".join(f"usemtl {name}\nf 1/1 2/1 3/1\n" for name in "az")
+    (tmp_path / "a.obj").write_text(f"mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\n{faces}")
     for _ in range(2):
         result = convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
-        assert image.read_bytes() == before and image not in result.files
+        assert folder / "b-kd-0.5-2.exr" in result.files
+        assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_no_file_of_a_scene_is_overwritten(tmp_path):
+    """The same for the images of a scene, of which the first is copied under the name of the second."""
+    folder = tmp_path / "new_files"
+    folder.mkdir()
+    phong_bsdf.images.write(folder / "b.exr", np.ones((2, 2, 3), np.float32))
+    phong_bsdf.images.write(folder / "b-scaled.exr", np.ones((2, 2, 3), np.float32))
+    before = (folder / "b-scaled.exr").read_bytes()
+    bitmap = '<texture type="bitmap" name="reflectance"><string name="filename" value="new_files/{}.exr"/></texture>'
+    shape = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
+    scaled = f'<texture type="scale" name="reflectance"><float name="scale" value="0.5"/>{bitmap.format("b")}</texture>'
+    # Inner and later elements are rewritten first.
+    shapes = shape.format(bitmap.format("b-scaled")) + shape.format(scaled)
+    (tmp_path / "old.xml").write_text(f'<scene version="0.6.0">{shapes}</scene>')
+    convert_scene(tmp_path / "old.xml", tmp_path / "new.xml")
+    assert (folder / "b-scaled.exr").read_bytes() == before and (folder / "b-scaled-2.exr").exists()
 
 
 # Fuzzing -------------------------------------------------------------------------------------------------

@@ -163,7 +163,6 @@ def _mixture(node: Node, context: Context) -> None:
         why = "they exceed 1, so they are divided by their sum"
         if conserve is not None and conserve.get("value") == "false":
             context.journal.loss(weights_node.place, f"weights that sum to {total:g}", why)
-        weights = [w / total for w in weights]
     elif total < 1 - 1e-6:
         black = node.like("bsdf", type="diffuse")
         black.add("rgb", name="reflectance", value="0")

@@ -43,6 +43,7 @@ def convert_scene(
         context = Context(tree, files, journal)
         _inline(tree, context, [path.resolve()])
         context.learn_ids()
+        _learn_files(context)
         on_progress("converting", 0.3)
         upgrade(tree, version, journal)
         for rewrite in PASSES:
@@ -89,6 +90,17 @@ def _inline(node: Node, context: Context, open_files: list[Path]) -> None:
             _inline(child, context, open_files)
 
 
+def _learn_files(context: Context) -> None:
+    """Look at all file names before a new file is written, which must not take the place of one of them."""
+    for node in context.root.all():
+        if _is_file(node):
+            context.filename(node)
+
+
+def _is_file(node: Node) -> bool:
+    return (node.tag == "string" and node.name == "filename") or (node.tag == "spectrum" and "filename" in node.attrib)
+
+
 def _names(context: Context) -> None:
     """camelCase -> snake_case, the spelling of Mitsuba 3."""
     changed = {}
@@ -120,10 +132,7 @@ def _transforms(context: Context) -> None:
 def _filenames(context: Context) -> None:
     """Files that stay where they are, named as the new scene must name them."""
     for node in context.root.all():
-        is_file = (node.tag == "string" and node.name == "filename") or (
-            node.tag == "spectrum" and "filename" in node.attrib
-        )
-        if not is_file or node.final:
+        if not _is_file(node) or node.final:
             continue
         attribute = "value" if node.tag == "string" else "filename"
         path = context.filename(node)

@@ -1,5 +1,6 @@
 """OBJ models with MTL materials -> a scene that renders at once."""
 
+import contextlib
 import math
 import re
 from collections.abc import Callable
@@ -94,6 +95,11 @@ def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -
                 continue
             for name, material in mtl.read(library, journal).items():
                 found.setdefault(name, material)
+    for material in found.values():
+        # Known before a new file is written, which must not take the place of one of them.
+        for texture in material.maps.values():
+            with contextlib.suppress(ConversionError):
+                files.find(texture.file, material.library.parent, material.place())
     return found
 
 
@@ -119,7 +125,7 @@ def _parts(
         ply = files.beside_output(name, ".ply")
         meshes.write_ply(ply, mesh)
         shape = scene.like("shape", type="ply")
-        shape.add("string", name="filename", value=files.relative(ply.resolve()).replace("$", "\\$"))
+        shape.add("string", name="filename", value=files.relative(ply.resolve()))
         if mesh.normals is None:
             shape.add("boolean", name="face_normals", value="true")
         shape.add("ref", id=name)

@@ -53,8 +53,8 @@ class Files:
         return found
 
     def relative(self, path: Path) -> str:
-        """`path` as the new scene names it."""
-        return Path(os.path.relpath(path, self.output.parent.resolve())).as_posix()
+        """`path` as the new scene names it. (A bare $ would be a parameter.)"""
+        return Path(os.path.relpath(path, self.output.parent.resolve())).as_posix().replace("$", "\\$")
 
     def beside_output(self, stem: str, suffix: str) -> Path:
         """A new file in the folder of files that belong to the new scene, `NAME_files` for `NAME.xml`; made if need be.
