@@ -16,9 +16,8 @@ from .records import ConversionError
 LARGEST_IMAGE = 2**28
 
 
-def read(path: Path, gamma: float | None = None) -> np.ndarray:
-    """A linear image, shape (height, width, channels), float32. 8- and 16-bit files are decoded: as sRGB, or with
-    `gamma`; alpha stays. Files that hold floating point numbers are linear already."""
+def read(path: Path) -> np.ndarray:
+    """An image as it is in its file, shape (height, width, channels): encoded integers, or linear floats."""
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap
 
@@ -30,16 +29,26 @@ def read(path: Path, gamma: float | None = None) -> np.ndarray:
         raise ConversionError(f"{path}: this image cannot be read: {str(error).splitlines()[-1]}") from None
     if array.size > LARGEST_IMAGE:
         raise ConversionError(f"{path}: an image of {array.size} values is too large to be converted")
-    if array.dtype.kind == "f":
-        return array.astype(np.float32)
-    x = array.astype(np.float32) / np.iinfo(array.dtype).max
-    colors = x.shape[2] - (x.shape[2] in (2, 4))
-    color = x[..., :colors]
-    if gamma is None:
-        color = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
-    else:
-        color = color**gamma
-    return np.concatenate([color, x[..., colors:]], axis=2)
+    return array
+
+
+def decode(image: np.ndarray, gamma: float | None = None) -> np.ndarray:
+    """Linear colours without alpha, float32. Integers are sRGB, or to the power of `gamma`; floats are linear."""
+    color = image[..., : image.shape[2] - (image.shape[2] in (2, 4))]
+    if image.dtype.kind == "f":
+        return color.astype(np.float32)
+    x = color.astype(np.float32) / np.iinfo(image.dtype).max
+    if gamma is not None:
+        return x**gamma
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
+def alpha(image: np.ndarray) -> np.ndarray | None:
+    """The last channel, linear, of an image that has alpha."""
+    if image.shape[2] not in (2, 4):
+        return None
+    last = image[..., -1:].astype(np.float32)
+    return last if image.dtype.kind == "f" else last / np.iinfo(image.dtype).max
 
 
 def write(files: Files, path: Path, image: np.ndarray, what: str) -> Path:
@@ -50,10 +59,8 @@ def write(files: Files, path: Path, image: np.ndarray, what: str) -> Path:
 
 
 def copy(files: Files, path: Path, change: Callable[[np.ndarray], np.ndarray], what: str, gamma=None) -> Path:
-    """The same, of `change` of the image, without alpha."""
-    image = read(path, gamma)
-    color = image[..., : image.shape[2] - (image.shape[2] in (2, 4))]
-    return write(files, path, np.ascontiguousarray(change(color), np.float32), what)
+    """The same, of `change` of the decoded image."""
+    return write(files, path, np.ascontiguousarray(change(decode(read(path), gamma)), np.float32), what)
 
 
 def scaled(color: np.ndarray, factor: list[float]) -> np.ndarray:

@@ -69,12 +69,12 @@ class Maps:
             self.journal.loss(place, f"texture '{given.file}'", "there is no such file; its constant stands in")
             return None
         try:
-            image = bake.read(path, gamma=1.0 if raw else None)
+            image = bake.read(path)
         except (ConversionError, OSError, RuntimeError, ValueError) as error:
             self.journal.loss(place, f"texture '{given.file}'", f"cannot be read ({error}); its constant stands in")
             return None
         made = parent.like("texture", type="bitmap", name=parameter)
-        changed = self._change(image, given, name, factor)
+        changed = self._change(image, given, name, factor, raw)
         if changed is None:
             made.add("string", name="filename", value=self.files.relative(path))
         else:
@@ -89,22 +89,22 @@ class Maps:
         self._place(made, given)
         return made
 
-    def _change(self, image: np.ndarray, given: Map, name: str, factor) -> np.ndarray | None:
+    def _change(self, image: np.ndarray, given: Map, name: str, factor, raw: bool) -> np.ndarray | None:
         """The image that the texture shows, None where it is the file's."""
-        alpha = image.shape[2] in (2, 4)
-        color = image[..., : image.shape[2] - alpha]
         base, gain = given.numbers("-mm", (0.0, 1.0))
         channel = given.options.get("-imfchan", [""])[0]
-        if name == "d" and alpha and not channel:
+        alpha = bake.alpha(image)
+        if name == "d" and not channel:
             channel = "m"
-        if channel == "m" and alpha:
-            color = image[..., -1:]
-        elif channel in CHANNELS and color.shape[2] == 3:
-            color = color[..., CHANNELS[channel]][..., None]
-        elif channel == "l" and color.shape[2] == 3:
-            color = (color @ LUMINANCE)[..., None]
+        if channel == "m" and alpha is not None:
+            color = alpha
+        elif channel in ("l", *CHANNELS) and image.shape[2] > 2:
+            color = bake.decode(image, 1.0 if raw else None)
+            color = (color @ LUMINANCE if channel == "l" else color[..., CHANNELS[channel]])[..., None]
         elif (base, gain) == (0.0, 1.0) and set(factor) == {1.0}:
             return None
+        else:
+            color = bake.decode(image, 1.0 if raw else None)
         return np.ascontiguousarray(bake.scaled(base + gain * color, factor), np.float32)
 
     @staticmethod
