@@ -101,19 +101,26 @@ def _coating(node: Node, context: Context) -> None:
         context.journal.loss(absorption.place, f"'sigma_a' of '{node.type}'", "no layer of Mitsuba 3 absorbs")
     node.take("thickness")
     if base.type in ("diffuse", "roughdiffuse"):
-        what, node.attrib["type"] = node.type, "roughplastic" if rough else "plastic"
-        reflectance = base.find_named("reflectance", "diffuse_reflectance")
-        if reflectance is not None:
-            reflectance.set("name", "diffuse_reflectance")
-            node.append(reflectance)
-        node.add("boolean", name="nonlinear", value="true")
-        context.journal.loss(node.place, f"'{what}' over 'diffuse'", f"approximated by '{node.type}'")
-        _rough(node, context)
-        return
-    if rough:
+        _coated_diffuse(node, base, rough, context)
+    elif rough:
         context.journal.loss(node.place, f"'roughcoating' over '{base.type}'", "left out; what is under it stays")
         node.become(base)
-        return
+    else:
+        _coated(node, base, context)
+
+
+def _coated_diffuse(node: Node, base: Node, rough: bool, context: Context) -> None:
+    what, node.attrib["type"] = node.type, "roughplastic" if rough else "plastic"
+    reflectance = base.find_named("reflectance", "diffuse_reflectance")
+    if reflectance is not None:
+        reflectance.set("name", "diffuse_reflectance")
+        node.append(reflectance)
+    node.add("boolean", name="nonlinear", value="true")
+    context.journal.loss(node.place, f"'{what}' over 'diffuse'", f"approximated by '{node.type}'")
+    _rough(node, context)
+
+
+def _coated(node: Node, base: Node, context: Context) -> None:
     inner, outer = (_index(node.take(name), default) for name, default in (("int_ior", 1.5046), ("ext_ior", 1.000277)))
     share = ((inner - outer) / (inner + outer)) ** 2
     tint = node.take("specular_reflectance")
@@ -122,10 +129,8 @@ def _coating(node: Node, context: Context) -> None:
     node.set("type", "mirrorblend")
     set_color(node.add("float", name="km", value=""), [min(share * v, 1.0) for v in values])
     node.append(base)
-    context.journal.loss(
-        node.place, f"'coating' over '{base.type}'",
-        f"approximated by 'mirrorblend', km = {share:.3g} as at normal incidence, without the rise at grazing angles",
-    )  # fmt: skip
+    why = f"km = {share:.3g} as at normal incidence, without the rise at grazing angles"
+    context.journal.loss(node.place, f"'coating' over '{base.type}'", f"approximated by 'mirrorblend', {why}")
 
 
 def _index(node: Node | None, default: float) -> float:

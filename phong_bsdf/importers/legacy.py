@@ -9,7 +9,7 @@ from .. import images
 from . import bsdfs, catalogue, plugins, textures, values, xmlfile
 from .context import Context
 from .paths import Files, check_output
-from .records import Conversion, ConversionError, Journal
+from .records import Conversion, ConversionError, Journal, header
 from .upgrade import upgrade, version_of
 from .xmlfile import Node
 
@@ -50,7 +50,9 @@ def convert_scene(
             rewrite(context)
         on_progress("writing", 0.9)
         tree.attrib = {"version": VERSION}
-        images.replace_file(output, xmlfile.to_text(tree, _header(path, version, journal)))
+        images.replace_file(
+            output, xmlfile.to_text(tree, header(f"'{path.name}' of Mitsuba {version[0]}.{version[1]}", journal))
+        )
     return Conversion(output, (output, *files.written), journal.records())
 
 
@@ -166,14 +168,6 @@ def _settings(context: Context) -> None:
             continue
         root.insert(0, root.like("default", name=default, value=node.get("value")))
         node.set("value", f"${default}")
-
-
-def _header(path: Path, version: tuple[int, ...], journal: Journal) -> str:
-    losses = [str(record) for record in journal.records() if record.kind == "loss"]
-    lines = [f"Converted by phong-bsdf from '{path.name}' of Mitsuba {version[0]}.{version[1]}."]
-    if losses:
-        lines += ["Not carried over, or only nearly:", *(f"- {loss}" for loss in losses)]
-    return "\n".join("    " + re.sub("-{2,}", "-", line).rstrip("-") for line in lines)
 
 
 # Each takes the Context. Names come first, what Mitsuba would refuse comes last.

@@ -15,7 +15,7 @@ from .maps import Maps
 from .materials import AMBIENT, VOCABULARIES, Materials
 from .objfile import Triangles
 from .paths import Files, check_output
-from .records import Conversion, ConversionError, Journal
+from .records import Conversion, ConversionError, Journal, header
 from .xmlfile import Node
 
 CAMERAS = ("auto", "none")
@@ -60,7 +60,7 @@ def convert_model(
             raise ConversionError(f"{path}: there are no faces in this file")
         on_progress("materials", 0.5)
         scene = _scene(path, triangles, vocabulary, camera, files, journal, on_progress)
-        images.replace_file(output, xmlfile.to_text(scene, _header(path, journal)))
+        images.replace_file(output, xmlfile.to_text(scene, header(f"'{path.name}'", journal)))
     return Conversion(output, (output, *files.written), journal.records())
 
 
@@ -205,11 +205,3 @@ def _camera_frame() -> np.ndarray:
 
 def _triple(v) -> str:
     return ", ".join(f"{x:.7g}" for x in v)
-
-
-def _header(path: Path, journal: Journal) -> str:
-    losses = [str(record) for record in journal.records() if record.kind == "loss"]
-    lines = [f"Converted by phong-bsdf from '{path.name}'."]
-    if losses:
-        lines += ["Not carried over, or only nearly:", *(f"- {loss}" for loss in losses)]
-    return "\n".join("    " + re.sub("-{2,}", "-", line).rstrip("-") for line in lines)

@@ -1,5 +1,6 @@
 """What a conversion did: one record for each change and for each loss."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,6 +67,16 @@ class Journal:
         """All records, by file in the order in which the files were read, then by line."""
         files = list(dict.fromkeys(record.file for record in self._records))
         return tuple(sorted(self._records, key=lambda r: (files.index(r.file), r.line)))
+
+
+def header(source: str, journal: Journal) -> str:
+    """The comment at the top of a new scene: where it comes from, and what was lost on the way."""
+    losses = [str(record) for record in journal.records() if record.kind == LOSS]
+    lines = [f"Converted by phong-bsdf from {source}."]
+    if losses:
+        lines += ["Not carried over, or only nearly:", *(f"- {loss}" for loss in losses)]
+    # Two hyphens would end an XML comment.
+    return "\n".join("    " + re.sub("-{2,}", "-", line).rstrip("-") for line in lines)
 
 
 def story(conversion: Conversion) -> str:

@@ -47,6 +47,15 @@ def _scale(node: Node, parent: Node, context: Context) -> None:
         return
     node.become(context.dereference(inner))
     what = f"texture 'scale' by {to_text(factor)}"
+    why = _multiply(node, factor, context)
+    if why:
+        context.journal.loss(node.place, what, why)
+    else:
+        context.journal.change(node.place, what, "now part of what it scaled, for Mitsuba 3 has no such texture")
+
+
+def _multiply(node: Node, factor: list[float], context: Context) -> str | None:
+    """Multiply a texture or constant; why not, where that is not possible."""
     constant = color(node)
     if constant is not None:
         set_color(node, _product(constant, factor))
@@ -61,14 +70,11 @@ def _scale(node: Node, parent: Node, context: Context) -> None:
     elif node.type == "bitmap" and set(factor) != {1.0}:
         path = _image(node, context)
         if path is None:
-            context.journal.loss(node.place, what, "the image is missing")
-            return
-        new = bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled")
-        _use(node, new, context)
+            return "the image is missing"
+        _use(node, bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled"), context)
     elif set(factor) != {1.0}:
-        context.journal.loss(node.place, what, f"Mitsuba 3 cannot scale a '{node.type}'")
-        return
-    context.journal.change(node.place, what, "now part of what it scaled, for Mitsuba 3 has no such texture")
+        return f"Mitsuba 3 cannot scale a '{node.type}'"
+    return None
 
 
 def _bitmap(node: Node, parent: Node, context: Context) -> None:
