@@ -17,10 +17,9 @@ check: $(READY)
 	@$(BIN)/python -m pip install -q --group lint
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 
+# All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md.
 bench: $(READY)
-	@$(BIN)/python tests/benchmarks/lobes.py
-	@$(BIN)/python tests/benchmarks/floor.py
-	@$(BIN)/python tests/benchmarks/model.py
+	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ONLY) $(ARGS)
 
 figures: $(READY)
 	@$(BIN)/python docs/figures.py

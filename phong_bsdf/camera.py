@@ -5,6 +5,12 @@ import math
 import drjit as dr
 import mitsuba as mi
 
+# So many samples at most are rendered at once: some seconds' worth, between which Ctrl-C is heard.
+LANES = 2**26
+
+# Consecutive numbers are far apart when multiplied by this, modulo 2^32: the golden ratio.
+STRIDE = 0x9E3779B9
+
 
 class CameraSamples:
     """The samples of one rendering, numbered pixel by pixel.
@@ -35,20 +41,40 @@ class CameraSamples:
 
         self.border = self.film.rfilter().border_size() if self.film.sample_border() else 0
         width, height = (int(side) + 2 * self.border for side in self.film.crop_size())
-        self.width, self.count = width, width * height * spp
-        if self.count > 2**32:
-            raise ValueError(
-                f"whitted: {width} x {height} pixels of {spp} samples are more than 2^32; "
-                "render with fewer samples per pixel, in several passes"
-            )
+        self.width, self.pixels, self.count = width, width * height, width * height * spp
         self.seed = seed
+        self.offset, self.size = mi.Vector2f(self.film.crop_offset()), mi.Vector2f(self.film.crop_size())
+        if self.jit and dr.any(self.film.crop_size() != self.film.size()):
+            # Pictures in bands are windows one after the other: no literals, or each would be another kernel.
+            dr.make_opaque(self.offset, self.size)
         if self.sampler is not None and self.jit:
             self.sampler.set_samples_per_wavefront(spp)
-            self.sampler.seed(seed, self.count)
 
-    def rays(self, index):
-        """(rays, weights, positions on the film in pixels) of the samples `index`."""
-        pixel = index // self.spp
+    def all(self):
+        """The rays of all samples, as `rays` has them."""
+        if self.count > 2**32:
+            raise ValueError(
+                f"whitted: {self.pixels} pixels of {self.spp} samples are more than 2^32, too many for a derivative; "
+                "use fewer samples per pixel"
+            )
+        return self.pixel_rays(0, self.pixels)
+
+    def passes(self):
+        """(first pixel, number of pixels) of each pass: of one if the samples are few enough."""
+        pixels = max(LANES // self.spp, 1)
+        return [(first, min(pixels, self.pixels - first)) for first in range(0, self.pixels, pixels)]
+
+    def pixel_rays(self, first, pixels):
+        """In JIT variants: the samples of `pixels` pixels, from pixel number `first` on, as `rays` has them."""
+        lanes = pixels * self.spp
+        if self.sampler is not None:
+            self.sampler.seed(mi.UInt32(self.seed) + (first * STRIDE) % 2**32, lanes)
+        # Not a literal where there are several passes, which share a kernel.
+        return self.rays(dr.arange(mi.UInt32, lanes), first if pixels == self.pixels else dr.opaque(mi.UInt32, first))
+
+    def rays(self, index, first=0):
+        """(rays, weights, positions on the film in pixels) of the samples `index`, counted from pixel `first` on."""
+        pixel = first + index // self.spp
         if self.sampler is not None and not self.jit:
             # A sampler knows the samples of one pixel; some never return when asked for more.
             if index % self.spp == 0:
@@ -56,12 +82,11 @@ class CameraSamples:
             else:
                 self.sampler.advance()
         y = pixel // self.width
-        offset = mi.Vector2f(self.film.crop_offset())
-        corner = mi.Point2f(pixel - y * self.width, y) + (offset - self.border)
+        corner = mi.Point2f(pixel - y * self.width, y) + (self.offset - self.border)
         if self.grid is None:
             inside = self.sampler.next_2d()
         else:
-            cell = index - pixel * self.spp
+            cell = index - (pixel - first) * self.spp
             row = cell // self.grid
             inside = (mi.Point2f(cell - row * self.grid, row) + 0.5) / self.grid
         position = corner + inside
@@ -72,7 +97,7 @@ class CameraSamples:
         ray, weight = self.sensor.sample_ray_differential(
             time=time,
             sample1=self.sampler.next_1d() if mi.is_spectral else 0,
-            sample2=(position - offset) / mi.Vector2f(self.film.crop_size()),
+            sample2=(position - self.offset) / self.size,
             sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
         )
         # The box filter needs to know the pixel only, and no rounding may miss it.

@@ -6,15 +6,15 @@
 import drjit as dr
 import mitsuba as mi
 
-from .needs import DELTA, MIRRORLESS, NULL, analyse_bsdfs
+from .needs import DELTA, MIRRORLESS, NULL, delta_lobes_of
 
 
 class Dispatch:
-    """The BSDFs of a scene; `needs` says which lobes some of them have."""
+    """The BSDFs of a scene; `deltas` says which delta lobes some of them have."""
 
-    def __init__(self, needs):
+    def __init__(self, deltas):
         self.jit = dr.is_jit_v(mi.Float)
-        self.needs, self.contexts = needs, _mirror_contexts(needs)
+        self.deltas, self.contexts = deltas, _mirror_contexts(deltas)
         smooth = int(mi.BSDFFlags.All) & ~(DELTA | NULL)
         self.smooth, self.mirrorless = _context(smooth), _context(smooth | MIRRORLESS)
 
@@ -35,7 +35,7 @@ class Dispatch:
     def diffuse_reflectance(self, bsdf, si, last, active):
         """Diffuse reflectance, unpolarized; `last` as in `eval`."""
         reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
-        if (self.needs if self.jit else _needs_of(bsdf)[0]).masks:
+        if (self.deltas if self.jit else _deltas_of(bsdf)[0]).masks:
             # Mitsuba's `mask` forgets its opacity here.
             reflectance = reflectance * (1 - mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, active)))
         if last is None:
@@ -55,31 +55,31 @@ class Dispatch:
             weight = si.to_world_mueller(weight, -bs.wo, si.wi) * scale
             found.append((si.to_world(bs.wo), weight, lanes & ((bs.sampled_type & DELTA) != 0)))
 
-        needs, contexts = (self.needs, self.contexts) if self.jit else _needs_of(bsdf)
+        deltas, contexts = (self.deltas, self.contexts) if self.jit else _deltas_of(bsdf)
         for context, others in contexts:
             lanes = active
             for other in others:
                 lanes = lanes & (bsdf != mi.BSDFPtr(other))
             mirror(context, lanes)
-        if needs.masks:
+        if deltas.masks:
             # The contexts of Mitsuba's `mask` for single components are of no use: it lets through what they exclude.
             lanes = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
             through = mi.Spectrum(mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, lanes)))
             found.append((si.to_world(-si.wi), through, lanes))
-            if needs.masked_mirrors:
+            if deltas.masked_mirrors:
                 mirror(_context(DELTA | NULL), lanes, mi.Spectrum(1) - through)
         return found
 
 
-def _needs_of(bsdf):
+def _deltas_of(bsdf):
     """Scalar variants ask each BSDF when they meet it."""
-    needs = analyse_bsdfs([bsdf])
-    return needs, _mirror_contexts(needs)
+    deltas = delta_lobes_of([bsdf])
+    return deltas, _mirror_contexts(deltas)
 
 
-def _mirror_contexts(needs):
+def _mirror_contexts(deltas):
     """A context for each component at which some BSDF has a delta lobe, and the BSDFs that it is not for."""
-    return [(_context(DELTA, i), others) for i, others in needs.mirrors]
+    return [(_context(DELTA, i), others) for i, others in deltas.mirrors]
 
 
 def _context(mask: int, component: int = 0xFFFFFFFF):

@@ -89,12 +89,18 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> None:
     import OpenEXR
 
-    channels = {name: np.ascontiguousarray(image[:, :, i]) for i, name in enumerate(CHANNELS[image.shape[2]])}
+    names = CHANNELS[image.shape[2]]
+    # Three and four channels as they lie in memory: large pictures are not copied.
+    together = len(names) > 2
+    channels = (
+        {names: np.ascontiguousarray(image)} if together else {n: image[:, :, i].copy() for i, n in enumerate(names)}
+    )
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)
     # The library does not notice a full disk.
-    read_exr(path)
+    with OpenEXR.File(path) as file:
+        file.channels()
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:
@@ -102,11 +108,14 @@ def png(image: np.ndarray, *, linear: bool = False) -> bytes:
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
-    image = image if linear else _srgb(image)
+    bytes_ = np.empty(image.shape, np.uint8)
+    # Row by row: temporary arrays of a large picture would be several times its size.
+    for row, values in zip(bytes_, image, strict=True):
+        row[:] = to_8bit(values if linear else _srgb(values))
     if image.shape[2] == 2:
-        image = image[:, :, [0, 0, 0, 1]]
+        bytes_ = np.ascontiguousarray(bytes_[:, :, [0, 0, 0, 1]])
     stream = MemoryStream()
-    Bitmap(np.ascontiguousarray(to_8bit(image))).write(stream, Bitmap.FileFormat.PNG)
+    Bitmap(bytes_).write(stream, Bitmap.FileFormat.PNG)
     return bytes(stream.raw_buffer())
 
 
@@ -116,10 +125,10 @@ def _write_png(path: str, image: np.ndarray, linear: bool) -> None:
 
 
 def _srgb(image: np.ndarray) -> np.ndarray:
-    alpha = 3 if image.shape[2] > 2 else 1
-    color = np.clip(np.nan_to_num(image[:, :, :alpha], nan=0.0), 0, 1)
+    alpha = 3 if image.shape[-1] > 2 else 1
+    color = np.clip(np.nan_to_num(image[..., :alpha], nan=0.0), 0, 1)
     encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    return np.concatenate([encoded, image[:, :, alpha:]], axis=2)
+    return np.concatenate([encoded, image[..., alpha:]], axis=-1)
 
 
 @contextlib.contextmanager

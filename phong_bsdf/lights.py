@@ -5,41 +5,78 @@ Mitsuba is served, but from a point where nothing can overflow or cancel: the fa
 1/r^2 that Mitsuba applies is never undone at the distance of the surface.
 """
 
+import operator
+
 import drjit as dr
 import mitsuba as mi
 
 from .needs import is_delta
+from .parameters import Watch
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
 # mirrors costs as much as three lights, but its compile time does not grow with their number.
 FEW = 4
 
+# What `mi.traverse` calls the intensity of Mitsuba's delta emitters.
+INTENSITIES = ("intensity.value", "irradiance.value")
+
 # Emitters whose intensity is the same in all directions.
 UNIFORM = ("PointLight", "DirectionalEmitter")
 
 
-class Lights:
-    """All delta lights of `scene`; `sample(i, ...)` serves the `i`-th."""
+class Dark:
+    """Which lights of the scene that was rendered last send nothing."""
 
-    def __init__(self, scene):
-        emitters = [e for e in scene.emitters() if is_delta(e)]
+    def __init__(self):
+        self.emitters, self.watch, self.dark = [], None, set()
+
+    def among(self, emitters) -> set[int]:
+        """The numbers of those of the `emitters` whose intensity is the constant 0."""
+        # What `mi.traverse` shows of a spectrum is no intensity.
+        if not dr.is_jit_v(mi.Float) or mi.is_spectral or dr.flag(dr.JitFlag.FreezingScope):
+            return set()
+        same = len(emitters) == len(self.emitters) and all(map(operator.is_, emitters, self.emitters))
+        if not same or (self.watch and self.watch.changed()):
+            constants = {}
+            for i, emitter in enumerate(emitters):
+                params = mi.traverse(emitter)
+                constants[i] = [params[key] for key in INTENSITIES if key in params]
+            self.emitters, self.watch = emitters, Watch([array for arrays in constants.values() for array in arrays])
+            self.dark = {i for i, arrays in constants.items() if arrays and not any(map(_shines, arrays))}
+        return self.dark
+
+
+class Lights:
+    """The delta lights of `scene` that send anything; `sample(i, ...)` serves the `i`-th."""
+
+    def __init__(self, scene, dark=None, keep=frozenset()):
+        emitters = scene.emitters()
+        dark = set() if dark is None else dark.among(emitters)
+        numbers = [i for i, emitter in enumerate(emitters) if i not in dark and is_delta(emitter)]
+        self.dark, self.background = len(dark), next((i for i, e in enumerate(emitters) if not is_delta(e)), None)
+        emitters = [emitters[i] for i in numbers]
         self.count = len(emitters)
-        self.few = not dr.is_jit_v(mi.Float) or self.count <= FEW
+        self.few = not dr.is_jit_v(mi.Float) or (self.count <= FEW and "lights" not in keep)
+        self.uniform = True
         if self.count == 0:
             return
         self.any_positional = any(_positional(e) for e in emitters)
         self.any_directional = not all(_positional(e) for e in emitters)
         # Wavelengths differ from ray to ray: a spectral intensity cannot be tabulated.
         self.uniform = not mi.is_spectral and all(e.class_name() in UNIFORM for e in emitters)
+        self.uniform = self.uniform and "light calls" not in keep
 
         if self.few:
             self.table = [self._read(e, _positional(e)) for e in emitters]
             self.limit = self.count
             return
-        # All emitters: one that is no light, of which there can be one background, is skipped. (A gather of the
-        # lights alone would be simpler, but frozen functions lose its width.)
-        pointers = scene.emitters_dr()
-        self.skip = next((i for i, e in enumerate(scene.emitters()) if not is_delta(e)), None)
+        pointers, self.skip = scene.emitters_dr(), None
+        if dr.flag(dr.JitFlag.FreezingScope):
+            # A frozen function loses the width of a gather: loop over all, and skip the background, the only one that
+            # is no light.
+            self.skip = self.background
+        else:
+            pointers = dr.gather(type(pointers), pointers, mi.UInt32(numbers))
         # End of a loop over them; not a literal, so that their number is not part of the kernel.
         self.limit = dr.opaque(mi.UInt32, dr.width(pointers))
         self.table = self._read(pointers, mi.has_flag(pointers.flags(), mi.EmitterFlags.DeltaPosition))
@@ -101,3 +138,7 @@ class Lights:
 
 def _positional(emitter) -> bool:
     return mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
+
+
+def _shines(intensity) -> bool:
+    return bool(dr.any(dr.ravel(intensity) != 0))

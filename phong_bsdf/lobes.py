@@ -188,11 +188,26 @@ def _phong_angle(wi, wo):
 
 def _blinnphong_tan2(wi, wo):
     """tan(theta)^2 of the angle between the normal and the bisector of wi and wo."""
-    # Directions are unit only up to rounding; the bisector needs equal lengths.
-    h = wi + wo
-    h = dr.fma(wo - wi, _imbalance(wi, wo, h), h)
-    z = dr.maximum(h.z, TINY)
-    return _squared_norm((h.x / z, h.y / z))
+    # Directions are unit only up to rounding, so the bisector is wi |wo| + wo |wi|. Near opposite horizons its sums
+    # would lose everything, so its part across the normal is split: with s the sines to the normal, one is
+    # s_i |wo| - s_o |wi|, where lengths drop out, and the other that of azimuths that are not opposite.
+    s2_i, s2_o = (dr.fma(v.x, v.x, dr.square(v.y)) for v in (wi, wo))
+    z2_i, z2_o = dr.square(wi.z), dr.square(wo.z)
+    s_i, s_o = (dr.sqrt(dr.maximum(s2, SHORTEST**2)) for s2 in (s2_i, s2_o))
+    # |v| = (1 + |v|^2) / 2 for lengths of almost 1.
+    length_i, length_o = dr.fma(0.5, s2_i + z2_i, 0.5), dr.fma(0.5, s2_o + z2_o, 0.5)
+    inv_z = 1 / dr.maximum(dr.fma(wi.z, length_o, wo.z * length_i), TINY)
+    # s_i^2 |wo|^2 - s_o^2 |wi|^2 from sums and differences of the directions, which are exact where it is small.
+    h, d = wi + wo, wi - wo
+    squares = dr.fma(dr.fma(h.x, d.x, h.y * d.y), z2_i + z2_o, -h.z * d.z * (s2_i + s2_o))
+    unequal = squares / (2 * dr.fma(s_i, length_o, s_o * length_i)) * inv_z
+    # s_i s_o + wi.wo across the normal; by the cross product where that cancels.
+    sines, dot = s_i * s_o, dr.fma(wi.x, wo.x, wi.y * wo.y)
+    cross = _sum_of_products(wi.x, wo.y, -wi.y, wo.x) * inv_z
+    opposite = dot < 0
+    both = dr.maximum(sines - dot, SHORTEST**2)
+    not_opposite = dr.select(opposite, cross, (sines + dot) * inv_z) * dr.select(opposite, cross / both, inv_z)
+    return dr.fma(unequal, unequal, 2 * length_i * length_o * not_opposite)
 
 
 def _imbalance(wi, wo, h):

@@ -5,6 +5,7 @@ need none of that: they are gathered once for each hit, and the formulas stand i
 The answers are those of `dispatch.py`, by the same operations in the same order.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import drjit as dr
@@ -12,6 +13,10 @@ import mitsuba as mi
 import numpy as np
 
 from . import lobes
+from .parameters import Watch
+
+# Each BSDF that can describe itself has another, for as long as the process lives.
+SERIALS = itertools.count()
 
 
 @dataclass(frozen=True)
@@ -29,47 +34,68 @@ class Material:
     """0 where there is no `mirrorblend`."""
 
 
-def tabulate(scene):
-    """`Materials` of `scene`; None where some BSDF is another, or varies, or is differentiated or recorded."""
-    if mi.is_spectral or mi.is_polarized or not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
-        return None
-    shapes = scene.shapes()
-    known = {}
-    for shape in shapes:
-        bsdf = shape.bsdf()
-        if bsdf is None or shape.class_name() == "Instance":
+class Table:
+    """The constants of all shapes of the scene that was rendered last."""
+
+    def __init__(self):
+        self.serials, self.watch, self.materials, self.columns = None, None, None, {}
+
+    def of(self, scene, keep=frozenset()):
+        """`Materials` of `scene`; None where some BSDF is another, or varies, or is differentiated or recorded."""
+        if mi.is_spectral or mi.is_polarized or not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
             return None
-        if bsdf.ptr not in known:
-            describe = getattr(bsdf, "constants", None)
-            known[bsdf.ptr] = describe() if describe else None
-        if known[bsdf.ptr] is None:
+        shapes = scene.shapes()
+        bsdfs = [shape.bsdf() for shape in shapes]
+        serials = [getattr(bsdf, "serial", None) for bsdf in bsdfs]
+        if not shapes or None in serials:
             return None
-    return Materials(scene, [known[shape.bsdf().ptr] for shape in shapes]) if shapes else None
+        if serials != self.serials or self.watch.changed():
+            self._look(shapes, bsdfs, serials)
+        if self.materials is None:
+            return None
+        if keep not in self.columns:
+            self.columns[keep] = Materials(scene, self.materials, keep)
+        return self.columns[keep]
+
+    def _look(self, shapes, bsdfs, serials):
+        self.serials, self.columns = serials, {}
+        known = {bsdf.serial: bsdf for bsdf in bsdfs}
+        self.watch = Watch([array for bsdf in known.values() for array in bsdf.arrays()])
+        constants = {serial: bsdf.constants() for serial, bsdf in known.items()}
+        whole = None not in constants.values() and not any(shape.class_name() == "Instance" for shape in shapes)
+        self.materials = [constants[serial] for serial in serials] if whole else None
 
 
 class Materials:
     """The constants of all shapes. What is the same everywhere is not gathered; what is 0 everywhere is left out."""
 
-    def __init__(self, scene, materials: list[Material]):
+    def __init__(self, scene, materials: list[Material], keep=frozenset()):
         self.models = sorted({material.model for material in materials})
         self.ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+        self.gathers = "materials" in keep
+        self.distinct = len(set(materials))
+        self.several = self.distinct > 1 or self.gathers
         self.model = self._column([(self.models.index(m.model),) for m in materials], mi.UInt32)
         self.diffuse, self.specular, self.exponent, self.km = (
-            self._column([getattr(m, name) for m in materials], mi.Float)
-            for name in ("diffuse", "specular", "exponent", "km")
+            self._column([getattr(m, name) for m in materials], mi.Float, feature in keep)
+            for name, feature in zip(
+                ("diffuse", "specular", "exponent", "km"),
+                ("diffuse", "highlights", "highlights", "mirrors"),
+                strict=True,
+            )
         )
         scales = [m.scale for m in materials]
         self.scale = None if all(scale == (1.0,) for scale in scales) else self._column(scales, mi.Float)
 
-    def _column(self, values, kind):
+    def _column(self, values, kind, keep=False):
         """Arrays over the shapes' numbers, one for each channel, or one number for all shapes each."""
         channels = max(map(len, values))
         values = np.array([v if len(v) == channels else v * channels for v in values])
-        if not values.any():
+        if not values.any() and not keep:
             return None
         if np.all(values == values[:, :1]):
             values = values[:, :1]
-        if np.all(values == values[:1]):
+        if np.all(values == values[:1]) and not self.gathers:
             return [dr.opaque(kind, float(x)) for x in values[0]]
         table = np.zeros((int(self.ids.max()) + 1, values.shape[1]), values.dtype)
         table[self.ids] = values

@@ -1,10 +1,10 @@
 """What a scene uses, hence what the kernels that render it can leave out.
 
-`whitted` asks before it builds a kernel. Everything here is known on the host: no
-array is read.
+`whitted` asks before it builds a kernel; `phong-bsdf explain` shows the answers. Everything here is known on the
+host: no array is read.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -24,46 +24,70 @@ LIGHTS = ("point", "spot", "projector", "directional")
 BACKGROUNDS = ("constant", "envmap")
 BACKGROUND_CLASSES = ("ConstantBackgroundEmitter", "EnvironmentMapEmitter")
 
+# What a kernel holds only where the scene needs it, and what it lacks where not; `keep` of the functions below names
+# what it holds all the same.
+FEATURES = {
+    "bsdf calls": "BSDF calls, texture lookups",
+    "materials": "lookup of each hit's constants",
+    "diffuse": "diffuse part",
+    "highlights": "lobe",
+    "mirrors": "loop over bounces",
+    "branches": "stack of waiting rays",
+    "transparency": "rays straight through",
+    "last bounce": "look under the last mirror",
+    "lights": "loop: each is in the kernel",
+    "light calls": "light calls at each hit",
+    "ambient": "ambient term",
+    "film block": "weights, atomic sums",
+}
+
+# Where a feature means nothing without another.
+REQUIRED = {"transparency": ("bsdf calls",), "branches": ("mirrors",), "last bounce": ("mirrors",)}
+
 
 class UnsupportedScene(ValueError):
     """The scene holds something that the `whitted` integrator cannot render."""
 
 
 @dataclass(frozen=True)
-class Needs:
-    """What the BSDFs of one scene need of the Whitted integrator."""
+class DeltaLobes:
+    """The mirrors, glass and holes among the BSDFs of a scene."""
 
-    mirrors: tuple[tuple[int, tuple], ...]
+    mirrors: tuple[tuple[int, tuple], ...] = ()
     """For each component index at which some BSDF has a delta lobe: the index, and the BSDFs that have delta lobes
     but none there. Mitsuba's adapters do not all refuse a component that they lack."""
 
-    masks: bool
+    masks: bool = False
     """Whether some surface lets rays straight through (`mask`, `null`)."""
 
-    masked_mirrors: bool
+    masked_mirrors: bool = False
     """Whether such a surface also has a mirror."""
 
-    branches: int
+    branches: int = 0
     """Most delta lobes that one surface can show at once: 0 no mirror, 1 a path, 2 or more a tree."""
 
-    fading_mirrors: bool
+    fading: bool = False
     """Whether some mirror is a `mirrorblend`, which the course's last bounce takes away."""
 
 
-def analyse(scene) -> Needs:
-    """The needs of `scene`; raises `UnsupportedScene` for lights that have no single direction."""
+def check_lights(scene) -> None:
+    """Raises `UnsupportedScene` for lights that have no single direction."""
     for emitter in scene.emitters():
         if not is_delta(emitter) and emitter.class_name() not in BACKGROUND_CLASSES:
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
+
+
+def delta_lobes(scene, keep=frozenset()) -> DeltaLobes:
+    """The delta lobes of all BSDFs of `scene`, and those that `keep` asks to be prepared for."""
     bsdfs = _bsdfs(scene)
     for bsdf in bsdfs:
         if hasattr(bsdf, "refresh"):
             bsdf.refresh()
-    return analyse_bsdfs(bsdfs)
+    return delta_lobes_of(bsdfs, keep)
 
 
-def analyse_bsdfs(bsdfs) -> Needs:
-    """The needs of `bsdfs`."""
+def delta_lobes_of(bsdfs, keep=frozenset()) -> DeltaLobes:
+    """The delta lobes of `bsdfs`."""
     components = [[bsdf.flags(i) for i in range(bsdf.component_count())] for bsdf in bsdfs]
     masked = [any(f & NULL for f in flags) for flags in components]
     mirrors = [
@@ -71,17 +95,31 @@ def analyse_bsdfs(bsdfs) -> Needs:
         for flags, mask in zip(components, masked, strict=True)
     ]
     special = [bool(found) or mask for found, mask in zip(mirrors, masked, strict=True)]
-    return Needs(
+    kept = [{i} for i, feature in enumerate(("mirrors", "branches")) if feature in keep]
+    found = DeltaLobes(
         mirrors=tuple(
             (i, tuple(b for b, found, other in zip(bsdfs, mirrors, special, strict=True) if other and i not in found))
-            for i in sorted(set().union(*mirrors))
+            for i in sorted(set().union(*mirrors, *kept))
         ),
         masks=any(masked),
         masked_mirrors=any(
             mask and any(f & DELTA for f in flags) for flags, mask in zip(components, masked, strict=True)
         ),
         branches=max((_branches(flags) for flags in components), default=0),
-        fading_mirrors=any(f & MIRRORLESS for flags in components for f in flags),
+        fading=any(f & MIRRORLESS for flags in components for f in flags),
+    )
+    return prepared(found, keep)
+
+
+def prepared(found: DeltaLobes, keep) -> DeltaLobes:
+    """`found`, and what `keep` asks to be prepared for though no BSDF has it."""
+    through = "transparency" in keep
+    return replace(
+        found,
+        masks=found.masks or through,
+        masked_mirrors=found.masked_mirrors or through,
+        branches=max(found.branches, "mirrors" in keep, 2 * ("branches" in keep)),
+        fading=found.fading or "last bounce" in keep,
     )
 
 

@@ -22,6 +22,27 @@ FAINT = 1e-15
 LARGEST_EXPONENT = 1e15
 
 
+# Constant textures whose value is the array that they hold, in variants that render RGB.
+PLAIN = ("UniformSpectrum", "SRGBReflectanceSpectrum")
+
+
+class Watch:
+    """Notices that some of the arrays of Mitsuba's objects, through `mi.traverse`, hold something else than before."""
+
+    def __init__(self, arrays):
+        self._arrays = arrays
+        self._seen = self._numbers()
+        # While they are kept, no other array gets their number.
+        self._kept = [dr.detach(array) for array in arrays]
+
+    def changed(self) -> bool:
+        """Whether any was changed since."""
+        return self._numbers() != self._seen
+
+    def _numbers(self):
+        return [channel.index for array in self._arrays for channel in _channels(array)]
+
+
 class Parameter:
     """One texture-valued BSDF parameter with its legal range [0, `upper`]."""
 
@@ -37,7 +58,7 @@ class Parameter:
         self.plugin, self.upper = props.plugin_name(), upper
         # They stay those of the texture, also after an update.
         params = mi.traverse(self.texture)
-        self._arrays = [params[key] for key in params.keys() if dr.is_jit_v(params[key])]  # noqa: SIM118
+        self.arrays = [params[key] for key in params.keys() if dr.is_jit_v(params[key])]  # noqa: SIM118
         self.changed()
 
     def changed(self) -> None:
@@ -46,9 +67,8 @@ class Parameter:
         # Neither a frozen function nor one that is differentiated can look at numbers.
         blind = self.varies or self._differentiated or dr.flag(dr.JitFlag.FreezingScope)
         self._recorded = dr.flag(dr.JitFlag.FreezingScope)
-        self._seen = self._version()
-        # While they are kept, no other array gets their number.
-        self._kept = [dr.detach(array) for array in self._arrays]
+        self._watch = None if self.varies or not dr.is_jit_v(mi.Float) else Watch(self.arrays)
+        self._seen = self._values() if self._watch is None else None
         self._constant = None
         largest = None if blind else self.texture.max()
         self._zero = largest == 0
@@ -81,16 +101,14 @@ class Parameter:
         return outdated
 
     def _is_outdated(self) -> bool:
-        return not (self.varies or dr.flag(dr.JitFlag.FreezingScope)) and self._version() != self._seen
+        if self.varies or dr.flag(dr.JitFlag.FreezingScope):
+            return False
+        return self._values() != self._seen if self._watch is None else self._watch.changed()
 
-    def _version(self) -> tuple:
-        """What is another after the constant has changed: the numbers of its arrays, in scalar variants itself."""
-        if self.varies:
-            return ()
-        if not dr.is_jit_v(mi.Float):
-            params = mi.traverse(self.texture)
-            return tuple(str(params[key]) for key in params.keys())  # noqa: SIM118
-        return tuple(channel.index for array in self._arrays for channel in _channels(array))
+    def _values(self) -> tuple:
+        """In scalar variants: the constant."""
+        params = mi.traverse(self.texture)
+        return () if self.varies else tuple(str(params[key]) for key in params.keys())  # noqa: SIM118
 
     @property
     def differentiated(self) -> bool:
@@ -104,7 +122,7 @@ class Parameter:
         return self._differentiated
 
     def _grad_enabled(self) -> bool:
-        return any(dr.grad_enabled(array) for array in self._arrays)
+        return any(dr.grad_enabled(array) for array in self.arrays)
 
     def constant(self) -> tuple[float, ...] | None:
         """The value as numbers, one for each channel; None where it varies, is differentiated, or changes unseen."""
@@ -113,7 +131,10 @@ class Parameter:
         if self.varies or self.differentiated or self._recorded:
             return None
         if self._constant is None:
-            self._constant = tuple(dr.ravel(self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))).numpy().tolist())
+            # Most constants are the array that holds them; to evaluate a thousand would launch a kernel for each.
+            plain = self.texture.class_name() in PLAIN and len(self.arrays) == 1 and not mi.is_spectral
+            value = self.arrays[0] if plain else self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))
+            self._constant = tuple(dr.ravel(value).numpy().tolist())
         return self._constant
 
     def value(self, si, active):

@@ -108,7 +108,7 @@ def load_parsed(path: Path, state, start: float | None = None) -> LoadedScene:
     integrator = type(scene.integrator()).__name__
     if integrator == WHITTED:
         try:
-            needs.analyse(scene)
+            needs.check_lights(scene)
         except needs.UnsupportedScene as error:
             raise SceneError(_locate(error, path, state)) from None
     return LoadedScene(Path(path), scene, integrator, time.perf_counter() - start)
@@ -144,7 +144,7 @@ def render(
         if scene.integrator().aov_names():
             raise SceneError(f"{loaded.path}: the integrator adds channels (AOVs), which this command cannot write")
         lights = sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in scene.emitters())
-        with _CompileTime() as compiling:
+        with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()
             for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
                 on_progress(share)
@@ -222,9 +222,24 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
         yield _render(loaded.scene, sensor, spp, seed), 1.0
 
 
+@contextlib.contextmanager
+def _heard(integrator, on_progress):
+    """Inside, `on_progress` also hears of passes that `whitted` makes by itself."""
+    has_passes = hasattr(integrator, "on_progress")
+    before = integrator.on_progress if has_passes else None
+    if has_passes:
+        integrator.on_progress = on_progress
+    try:
+        yield
+    finally:
+        if has_passes:
+            integrator.on_progress = before
+
+
 def _bands(scene, sensor, spp, seed, rows):
     params = mi.traverse(sensor)
-    size, offset = params["film.crop_size"], params["film.crop_offset"]
+    # Copies: what `traverse` gives changes with the film.
+    size, offset = mi.ScalarVector2u(params["film.crop_size"]), mi.ScalarPoint2u(params["film.crop_offset"])
     (width, height), (left, top) = (tuple(map(int, v)) for v in (size, offset))
     image = None
     try:

@@ -26,12 +26,24 @@ LARGE = 50
 class Surfaces:
     """The sizes of the shapes of `scene`, and hits and ray origins that respect them."""
 
-    def __init__(self, scene):
+    def __init__(self, scene, seen):
         shapes = scene.shapes()
-        extents = [_extent(shape) for shape in shapes]
-        self.extent = PerShape(shapes, extents)
-        self.curvature = PerShape(shapes, [_cylinder_curvature(shape) for shape in shapes])
-        self.spheres = [_Sphere(shape) for shape in shapes if _is_large(shape, min(extents), scene)]
+        kinds = [shape.class_name() for shape in shapes]
+        boxes = seen.boxes(shapes)
+        extents = [_extent(box) for box in boxes]
+        curvatures = [_curvature(s) if kind == "Cylinder" else 0.0 for s, kind in zip(shapes, kinds, strict=True)]
+        # The shapes inside of instances are not listed: they may be as large as any.
+        hidden = "Instance" in kinds
+        self.extent = seen.per_shape("extent", scene, extents, hidden)
+        self.curvature = seen.per_shape("curvature", scene, curvatures, hidden)
+        # The box of a camera is its position, known without reading an array.
+        cameras = [sensor.bbox().min for sensor in scene.sensors()] if "Sphere" in kinds else []
+        nearest = min(extents, default=0.0)
+        self.spheres = [
+            _Sphere(shape)
+            for shape, kind, box in zip(shapes, kinds, boxes, strict=True)
+            if kind == "Sphere" and _is_large(box, nearest, cameras)
+        ]
 
     def refine(self, si, ray):
         """The hit point of `ray`, moved along it onto the surface where that is a large sphere."""
@@ -44,7 +56,8 @@ class Surfaces:
 
     def tolerance(self, si, active):
         """Bound on the distance between the hit `si` and the surface that ray tests see, in world units."""
-        size = dr.max(dr.abs(si.p)) + self.extent.at(si, active)
+        # The ray's length stands for the coordinates of its origin, which may be far from the surface.
+        size = dr.max(dr.abs(si.p)) + si.t + self.extent.at(si, active)
         if self.curvature.largest > 0:
             # A cylinder is intersected from where the ray starts: its error grows with the distance squared.
             size += dr.square(si.t) * self.curvature.at(si, active)
@@ -65,23 +78,66 @@ class Surfaces:
         return mi.Ray3f(o, direction, maxt, si.time, si.wavelengths)
 
 
+class Seen:
+    """What is looked at once of the shapes of the scene that was rendered last.
+
+    While an array is kept, no other gets its number.
+    """
+
+    def __init__(self):
+        self.of_meshes, self.numbers = {}, {}
+
+    def boxes(self, shapes):
+        """The bounding boxes of `shapes`."""
+        before, self.of_meshes = self.of_meshes, {}
+        return [self._box(shape, before) for shape in shapes]
+
+    def per_shape(self, name, scene, values, hidden):
+        """`PerShape` of these values, the one of the last rendering if they are the same."""
+        if not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
+            return PerShape(scene, values, hidden)
+        pointers = scene.shapes_dr()
+        key = (pointers.index, tuple(values), hidden)
+        if name not in self.numbers or self.numbers[name][0] != key:
+            self.numbers[name] = key, pointers, PerShape(scene, values, hidden)
+        return self.numbers[name][2]
+
+    def _box(self, shape, before):
+        box = shape.bbox()
+        if box.valid():
+            return box
+        # Mitsuba joins meshes of equal BSDFs, and forgets the box.
+        positions = mi.traverse(shape)["vertex_positions"]
+        key = positions.index if dr.is_jit_v(positions) else None
+        if key is None or key not in before:
+            points = np.array(positions).reshape(-1, 3)
+            box = mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
+            before = {key: (box, dr.detach(positions))}
+        self.of_meshes[key] = before[key]
+        return before[key][0]
+
+
 class PerShape:
-    """A number for each shape; one for all where they are of one order of magnitude."""
+    """A number for each shape of `scene`; one for all where they are of one order of magnitude, or some `hidden`."""
 
     # Exceptions from the smallest number that are compared one by one; more are looked up in a table.
     FEW = 8
 
-    def __init__(self, shapes, values):
-        self.jit = dr.is_jit_v(mi.Float)
+    def __init__(self, scene, values, hidden):
         self.largest, self.smallest = max(values, default=1.0), min(values, default=1.0)
-        self.exceptions = [
-            (identity(shape), value) for shape, value in zip(shapes, values, strict=True) if value > 8 * self.smallest
-        ]
-        # The shapes inside of instances are not listed: they may be as large as any.
-        self.uniform = not self.exceptions or any(shape.class_name() == "Instance" for shape in shapes)
-        self.table = None
-        if self.jit and not self.uniform and len(self.exceptions) > self.FEW:
-            self.table = self._tabulate(shapes, values)
+        self.table, self.exceptions = None, []
+        others = [i for i, value in enumerate(values) if value > 8 * self.smallest]
+        self.uniform = hidden or not others
+        if self.uniform:
+            return
+        jit = dr.is_jit_v(mi.Float)
+        ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy() if jit else scene.shapes()
+        if jit and len(others) > self.FEW:
+            table = np.zeros(int(ids.max()) + 1, np.float32)
+            table[ids] = values
+            self.table = mi.Float(table)
+        else:
+            self.exceptions = [(dr.opaque(mi.UInt32, int(ids[i])) if jit else ids[i], values[i]) for i in others]
 
     def at(self, si, active):
         """The number of the shape that was hit."""
@@ -93,14 +149,6 @@ class PerShape:
         for shape, exception in self.exceptions:
             value = dr.select(is_shape(si, shape), exception, value)
         return value
-
-    @staticmethod
-    def _tabulate(shapes, values):
-        ids = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0] for shape in shapes]
-        table = [0.0] * (max(ids) + 1)
-        for i, value in zip(ids, values, strict=True):
-            table[i] = value
-        return mi.Float(table)
 
 
 class _Sphere:
@@ -142,34 +190,20 @@ def is_shape(si, shape):
     return hit == shape if not dr.is_jit_v(mi.Float) else dr.reinterpret_array(mi.UInt32, hit) == shape
 
 
-def _extent(shape) -> float:
-    """Largest coordinate or side of the shape's bounding box: what its float32 arithmetic works with."""
-    box = shape.bbox()
-    if not box.valid():
-        # Mitsuba joins meshes of equal BSDFs, and forgets the box.
-        points = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3)
-        box = mi.ScalarBoundingBox3f(points.min(axis=0).tolist(), points.max(axis=0).tolist())
-    return max(max(abs(box.min[i]), abs(box.max[i]), box.max[i] - box.min[i]) for i in range(3))
+def _extent(box) -> float:
+    """Largest coordinate or side of a bounding box: what float32 arithmetic on the shape works with."""
+    low, high = box.min, box.max
+    sides = zip((low.x, low.y, low.z), (high.x, high.y, high.z), strict=True)
+    return max(max(-a, b, b - a) for a, b in sides)
 
 
-def _cylinder_curvature(shape) -> float:
-    """1 / radius of a cylinder, 0 for other shapes."""
-    if shape.class_name() != "Cylinder":
-        return 0.0
-    return 1 / _length(mi.traverse(shape)["to_world"] @ mi.Vector3f(1, 0, 0))
+def _curvature(cylinder) -> float:
+    """1 / radius."""
+    radius = dr.norm(mi.traverse(cylinder)["to_world"] @ mi.Vector3f(1, 0, 0))
+    return 1 / (radius[0] if dr.is_jit_v(radius) else radius)
 
 
-def _is_large(shape, smallest: float, scene) -> bool:
-    if shape.class_name() != "Sphere":
-        return False
-    box = shape.bbox()
-    radius = 0.5 * (box.max[0] - box.min[0])
-    center = 0.5 * (box.max + box.min)
-    # The box of a camera is its position, known without reading an array.
-    distances = [abs(dr.norm(sensor.bbox().min - center) - radius) for sensor in scene.sensors()]
-    return radius > LARGE * min([smallest, *distances])
-
-
-def _length(v) -> float:
-    length = dr.norm(v)
-    return length[0] if dr.is_jit_v(length) else length
+def _is_large(box, nearest: float, cameras) -> bool:
+    """Whether the sphere in the box is large beside what is nearest: the smallest shape, or a camera."""
+    radius, center = 0.5 * (box.max.x - box.min.x), 0.5 * (box.max + box.min)
+    return radius > LARGE * min([nearest, *(abs(dr.norm(camera - center) - radius) for camera in cameras)])

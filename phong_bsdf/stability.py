@@ -113,10 +113,10 @@ def pairs(lobe: str, p: float, n: int, rng) -> tuple[np.ndarray, np.ndarray]:
     edge = rng.integers(0, 500, n)
     wo[edge == 0] = (wi * [-1, -1, 1])[edge == 0]
     wi[edge == 1], wo[edge == 1] = [0, 0, 1], [0, 0, 1]
-    # At opposite horizons lengths are off by what normalisation in float32 leaves.
+    # At opposite horizons.
     cos = np.where(rng.random(n) < 0.5, 1e-7, 10 ** rng.uniform(-12, -4, n))
     low = _polar(cos, np.sqrt(1 - cos**2), rng.random(n))
-    off = 1 + rng.uniform(-1.2e-7, 1.2e-7, (2, n, 1))
+    off = 1 + 10 ** rng.uniform(-7, -6, (2, n, 1)) * rng.choice([-1, 1], (2, n, 1))
     wi[edge == 2], wo[edge == 2] = (low * off[0])[edge == 2], (low * [-1, -1, 1] * off[1])[edge == 2]
     wo[edge == 3] = wi[edge == 3]
     # And across from each other at unequal heights.
@@ -146,7 +146,9 @@ def _to_axis(v, axis):
 
 def exact(lobe: str, wi: np.ndarray, wo: np.ndarray, p: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(value, condition number) of `value` and `pdf` in float64, the directions normalised first."""
-    wi, wo = (v / np.linalg.norm(v.astype(np.float64), axis=1, keepdims=True) for v in (wi, wo))
+    wi, wo = wi.astype(np.float64), wo.astype(np.float64)
+    tan_h, cos_d = _bisector(wi, wo)
+    wi, wo = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (wi, wo))
     with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
         if lobe == "phong":
             axis = wi * [-1, -1, 1]
@@ -158,18 +160,34 @@ def exact(lobe: str, wi: np.ndarray, wo: np.ndarray, p: float) -> dict[str, tupl
             pdf = (p + 1) / (2 * np.pi) * value * np.where((mirrored < 0) & (p > 0), 2, 1)
             kappa_pdf = kappa
         else:
-            h = wi + wo
-            length = np.linalg.norm(h, axis=1)
-            sin, cos, cos_d = np.hypot(h[:, 0], h[:, 1]) / length, h[:, 2] / length, length / 2
-            value = _cos_power(cos, sin, p)
+            cos = 1 / np.hypot(1, tan_h)
+            value = _cos_power(cos, tan_h * cos, p)
             sin_d = np.linalg.norm(wi - wo, axis=1) / 2
-            kappa = p * sin / cos / cos_d
+            kappa = p * tan_h / cos_d
             mirrored = 2 * wi[:, 2] * (2 * cos**2 - 1) - wo[:, 2]
             pdf = (p + 1) / (2 * np.pi) * value / (4 * cos_d) * np.where(mirrored < 0, 2, 1)
             kappa_pdf = kappa + sin_d / cos_d
         # Where the density jumps to twice its value, a rounding decides.
         kappa_pdf = np.where((np.abs(mirrored) < 4e-6) & (p > 0), np.inf, kappa_pdf)
         return {"value": (value, kappa), "pdf": (pdf, kappa_pdf)}
+
+
+def _bisector(wi, wo):
+    """Tangent of the angle between normal and bisector, and cosine of that between bisector and wi.
+
+    In float64, from float32 directions of any length. Products of two float32 numbers are exact there, so no digit is
+    lost where the directions are at opposite horizons.
+    """
+    (length_i, sin_i, z_i), (length_o, sin_o, z_o) = (
+        (np.linalg.norm(v, axis=1), np.hypot(v[:, 0], v[:, 1]), v[:, 2]) for v in (wi, wo)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dot, cross = np.sum(wi[:, :2] * wo[:, :2], axis=1), wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0]
+        not_opposite = np.where(dot < 0, cross**2 / (sin_i * sin_o - dot), sin_i * sin_o + dot)
+        unequal = (sin_i * z_o - sin_o * z_i) * (sin_i * z_o + sin_o * z_i) / (sin_i * length_o + sin_o * length_i)
+        across = np.hypot(np.nan_to_num(unequal), np.sqrt(2 * length_i * length_o * not_opposite))
+    along = z_i * length_o + z_o * length_i
+    return across / along, np.hypot(across, along) / (2 * length_i * length_o)
 
 
 def _cos_power(cos, sin, p):

@@ -1,17 +1,19 @@
 """Follows camera rays through one scene: lights and shadows at each hit, then the mirrors.
 
-The integrator `whitted` makes one `Tracer` for each rendering. It takes from `needs`
-what the scene has, and builds the kernel without the rest.
+The integrator `whitted` makes one `Tracer` for each rendering, which builds the kernel
+without what the scene does not need (`needs.FEATURES`).
 """
+
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
 
 from .dispatch import Dispatch
-from .lights import Lights
-from .materials import tabulate
-from .needs import analyse, wake
-from .spawn import Surfaces
+from .lights import Dark, Lights
+from .materials import Table
+from .needs import DeltaLobes, check_lights, delta_lobes, prepared, wake
+from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
 FAINTEST = 1e-6
@@ -23,18 +25,40 @@ MOST_BOUNCES = 1000
 MOST_WAITING = 24
 
 
+@dataclass
+class Memory:
+    """What an integrator keeps of the scene that it rendered last, to look at what has changed only."""
+
+    table: Table = field(default_factory=Table)
+    dark: Dark = field(default_factory=Dark)
+    seen: Seen = field(default_factory=Seen)
+
+
 class Tracer:
-    """An integrator's options and what one scene needs of it."""
+    """An integrator's options and what one scene needs of it.
+
+    `ambient` is None where it is 0. `keep` names features that stay in the kernel though the scene does not need them.
+    """
 
     def __init__(
-        self, scene, *, convention, max_depth, shadows, ambient, hide_emitters, gradients=False, specialize=True
+        self,
+        scene,
+        memory,
+        *,
+        convention,
+        max_depth,
+        shadows,
+        ambient,
+        hide_emitters,
+        gradients=False,
+        keep=frozenset(),
     ):
         self.scene = scene
         if gradients:
             wake(scene)
-        self.needs = analyse(scene)
-        self.lights = Lights(scene)
-        self.surfaces = Surfaces(scene)
+        check_lights(scene)
+        self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
+        self.surfaces = Surfaces(scene, memory.seen)
         self.background = scene.environment()
         self.course = convention == "course"
         self.shadows = shadows
@@ -52,11 +76,34 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
-        table = tabulate(scene) if specialize and not gradients else None
-        self.materials = table or Dispatch(self.needs)
+        self.table = None if gradients or "bsdf calls" in keep else memory.table.of(scene, keep)
+        if self.table:
+            mirror = self.table.km is not None
+            self.deltas = prepared(DeltaLobes(branches=int(mirror), fading=mirror), keep)
+        else:
+            self.deltas = delta_lobes(scene, keep)
+        self.materials = self.table or Dispatch(self.deltas)
         # Scalar variants ask each BSDF when they meet it.
-        self.follows = (self.needs.branches > 0 or not self.jit) and self.most_rays > 1
-        self.fades = (self.needs.fading_mirrors or not self.jit) and self.course and not self.unlimited
+        self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
+        self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited
+
+    def features(self) -> set[str]:
+        """Those of `needs.FEATURES` that the kernel holds."""
+        shades = self.lights.count > 0 and self.most_hits > 0
+        has = {
+            "bsdf calls": self.table is None,
+            "materials": self.table is None or self.table.several,
+            "diffuse": self.table is None or self.table.diffuse is not None,
+            "highlights": self.table is None or self.table.specular is not None,
+            "mirrors": self.follows,
+            "branches": self.follows and self.deltas.branches > 1,
+            "transparency": self.follows and self.deltas.masks,
+            "last bounce": self.follows and self.fades,
+            "lights": shades and not self.lights.few,
+            "light calls": shades and not self.lights.uniform,
+            "ambient": self.ambient is not None,
+        }
+        return {feature for feature, held in has.items() if held}
 
     def trace(self, ray, active):
         """Radiance along `ray`, and whether it meets a surface or the background."""
@@ -66,7 +113,7 @@ class Tracer:
             n = dr.width(ray.d)
             radiance, seen, _ = self._step(ray, mi.Spectrum(1), dr.zeros(mi.UInt32, n), mi.Mask(active))
             return radiance, seen
-        if self.needs.branches > 1:
+        if self.deltas.branches > 1:
             return self._trace_tree(ray, active)
         return self._trace_path(ray, active)
 
@@ -108,7 +155,7 @@ class Tracer:
         o, d, beta, depth, alive, radiance, valid = self._start(ray, active)
         maxt, time, wavelengths = ray.maxt, ray.time, ray.wavelengths
         waiting = dr.zeros(mi.UInt32, dr.width(alive))
-        room = min(self.most_rays, MOST_WAITING) * (self.needs.branches - 1)
+        room = min(self.most_rays, MOST_WAITING) * (self.deltas.branches - 1)
         stack_o, stack_d = dr.alloc_local(mi.Point3f, room), dr.alloc_local(mi.Vector3f, room)
         stack_beta, stack_depth = dr.alloc_local(mi.Spectrum, room), dr.alloc_local(mi.UInt32, room)
 

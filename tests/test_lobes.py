@@ -66,6 +66,34 @@ def test_errors_are_those_of_the_inputs(lobe, quantity, p):
                 assert value <= 1.01e-30
 
 
+@pytest.mark.parametrize("p", (1, 1e4, 1e8))
+@pytest.mark.parametrize("lobe", LOBES)
+def test_opposite_horizons(lobe, p):
+    """The bar holds down to cosines of 1e-30 at both ends, equal and unequal, for lengths that are off by 1e-6."""
+    rng = np.random.default_rng(3)
+    n = 1000
+    cos = 10 ** rng.uniform(-30, -5, (2, n))
+    cos[1] = np.where(rng.random(n) < 0.5, cos[0], cos[1])
+    turn = 2 * np.pi * rng.random(n) * (rng.random(n) < 0.5)
+    low = [np.stack([np.sqrt(1 - c**2) * np.cos(turn), np.sqrt(1 - c**2) * np.sin(turn), c], -1) for c in cos]
+    length = 1 + rng.uniform(-1e-6, 1e-6, (2, n, 1))
+    wi, wo = (low[0] * length[0]).astype(np.float32), (low[1] * [-1, -1, 1] * length[1]).astype(np.float32)
+    values = function(lobe, "value")(mi.Vector3f(wi.T), mi.Vector3f(wo.T), mi.Float(p)).numpy()
+    judged = 0
+    with mp.workdps(100):
+        for value, v, w in zip(values, wi, wo, strict=True):
+            x = [mp.mpf(float(c)) for c in (*v, *w)]
+            cos = exact(lobe, "value", [*x, 1])
+            kappa = p * mp.sqrt(abs(1 - cos**2)) / abs(cos)
+            if lobe == "blinnphong":
+                a, b = (mp.matrix(side) / mp.norm(mp.matrix(side)) for side in (x[:3], x[3:]))
+                kappa /= mp.norm(a + b) / 2
+            if kappa * U < 1e-2 and cos**p > 1e-30:
+                judged += 1
+                assert abs(float(value) / float(cos**p) - 1) <= stability.BARS["value"] * U * (1 + float(kappa))
+    assert judged > 100
+
+
 @pytest.mark.parametrize("p", EXPONENTS)
 @pytest.mark.parametrize("quantity", ("value", "pdf"))
 @pytest.mark.parametrize("lobe", LOBES)

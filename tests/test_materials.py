@@ -5,7 +5,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import materials
+from phong_bsdf.materials import Table
+from phong_bsdf.needs import FEATURES, REQUIRED
 
 PHONG = {"type": "phong", "kd": {"type": "rgb", "value": [0.8, 0.3, 0.1]}, "ks": 0.4, "p": 20}
 BLINN = {"type": "blinnphong", "kd": 0.3, "ks": {"type": "rgb", "value": [0.1, 0.5, 0.9]}, "p": 200}
@@ -61,22 +62,43 @@ SCENES = {
 }
 
 
+def differences(name, keeps, **options):
+    """Largest relative difference of a picture to the specialised one, for each set of features kept."""
+    bsdfs, lights = SCENES[name]
+    if bsdfs:
+        loaded = scene(bsdfs, lights, **options)
+    else:
+        sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}
+        loaded = mi.load_dict({"type": "scene", "integrator": {"type": "whitted"}, "sensor": sensor, **lights})
+    pictures = []
+    for keep in ((), *keeps):
+        loaded.integrator().keep = frozenset(keep)
+        pictures.append(np.array(mi.render(loaded)))
+    reference = pictures[0]
+    assert name in ("black", "no surface") or options == {"max_depth": 2} or reference.max() > 0
+    return [np.max(np.abs(p - reference) / np.maximum(reference, 1e-30)) for p in pictures[1:]]
+
+
 @pytest.mark.parametrize(
     "options", ({}, {"convention": "physical"}, {"ambient": 0.3}, {"max_depth": 2}, {"max_depth": -1})
 )
 @pytest.mark.parametrize("name", SCENES)
-def test_arrays_show_what_dispatch_shows(name, options):
-    """The same picture from constants in arrays and from calls of the BSDFs."""
-    bsdfs, lights = SCENES[name]
-    if bsdfs:
-        pictures = [np.array(mi.render(scene(bsdfs, lights, specialize=flag, **options))) for flag in (True, False)]
-        assert materials.tabulate(scene(bsdfs, lights)) is not None
-    else:
-        pictures = [np.array(mi.render(mi.load_dict({"type": "scene", "i": {"type": "whitted", "specialize": flag},
-                    "s": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}, **SUN})))
-                    for flag in (True, False)]  # fmt: skip
-    assert np.array_equal(*pictures)
-    assert name in ("black", "no surface") or options == {"max_depth": 2} or pictures[0].max() > 0
+def test_general_kernels_show_the_same(name, options):
+    """Bit by bit where BSDFs are called; with everything else there for nothing but for the rounding of an ambient
+    term, and of intensities that come back from another distance."""
+    keeps = ({"bsdf calls"}, set(FEATURES) - {"light calls"}, set(FEATURES))
+    called, most, general = differences(name, keeps, **options)
+    assert called == 0
+    assert most <= (2e-7 if options.get("ambient") else 0)
+    assert general < 4e-7
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_each_feature_alone_changes_nothing(feature):
+    """Whatever a kernel could leave out, and holds."""
+    for name in ("both lobes", "mirrors", "no highlight", "vocabularies"):
+        (difference,) = differences(name, [{feature, *REQUIRED.get(feature, ())}])
+        assert difference <= (4e-7 if feature == "light calls" else 0)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +113,7 @@ def test_arrays_show_what_dispatch_shows(name, options):
 )
 def test_other_bsdfs_are_called(bsdf):
     """Then the scene is no table."""
-    assert materials.tabulate(scene([PHONG, bsdf], SUN)) is None
+    assert Table().of(scene([PHONG, bsdf], SUN)) is None
 
 
 def test_updates_are_seen():

@@ -6,6 +6,7 @@ from .. import __version__
 from .compare import compare
 from .convert import convert
 from .doctor import doctor
+from .explain import explain
 from .render import render
 from .stability import stability
 
@@ -16,5 +17,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, convert, compare, stability, doctor):
+for command in (render, convert, compare, explain, stability, doctor):
     main.add_command(command)

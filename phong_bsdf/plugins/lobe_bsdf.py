@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf import albedo, energy, lobes
-from phong_bsdf.materials import Material
+from phong_bsdf.materials import SERIALS, Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
 
 # Each vocabulary: name of the diffuse scale, of the lobe's scale, of the exponent.
@@ -34,6 +34,7 @@ class LobeBSDF(mi.BSDF):
             for name, default, largest in zip(names, DEFAULTS, (LARGEST, LARGEST, LARGEST_EXPONENT), strict=True)
         )
         self.parameters = (self.diffuse, self.specular, self.exponent)
+        self.serial = next(SERIALS)
         self.conserves_energy = self.reflectances and _boolean(props, ENERGY, True)
         self.scale, self.scale_array = 1.0, mi.Float(1)
         self.albedo = _albedo_table(self.NAME, self.reflectances)
@@ -129,6 +130,10 @@ class LobeBSDF(mi.BSDF):
         if None in values or len(set(values[2])) > 1:
             return None
         return Material((self.NAME, self.reflectances), *values, scale=(self.scale,), km=(0.0,))
+
+    def arrays(self):
+        """The arrays that hold the constants."""
+        return [array for parameter in self.parameters for array in parameter.arrays]
 
     def _eval_pdf(self, ctx, si, wo, active, value=True, pdf=True):
         """Value f cos(theta_o) and density; either can be left out (its place then holds 0)."""

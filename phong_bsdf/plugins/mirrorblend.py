@@ -5,6 +5,7 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
+from phong_bsdf.materials import SERIALS
 from phong_bsdf.needs import MIRRORLESS
 from phong_bsdf.parameters import FAINT, Parameter
 
@@ -49,6 +50,7 @@ class MirrorBlend(mi.BSDF):
         if len(nested) != 1:
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
+        self.serial = None if getattr(self.nested, "serial", None) is None else next(SERIALS)
         self._find_components()
 
     def traverse(self, cb):
@@ -155,6 +157,10 @@ class MirrorBlend(mi.BSDF):
         nested, km = describe() if describe else None, self.km.constant()
         # One mirror over another is no single material.
         return replace(nested, km=km) if nested and km and not any(nested.km) else None
+
+    def arrays(self):
+        """The arrays that hold the constants."""
+        return [*self.km.arrays, *self.nested.arrays()]
 
     def _nested_scale(self, ctx, si, active):
         """What is left of the nested BSDF, as a factor that keeps polarization."""

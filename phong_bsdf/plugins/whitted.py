@@ -4,8 +4,9 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.camera import CameraSamples
+from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
-from phong_bsdf.tracer import Tracer
+from phong_bsdf.tracer import Memory, Tracer
 
 IS_JIT = dr.is_jit_v(mi.Float)
 
@@ -73,15 +74,20 @@ class Whitted(Base):
         self.shadows = props.get("shadows", True)
         if not isinstance(self.shadows, bool):
             raise ValueError(f"whitted: 'shadows' must be true or false, got {self.shadows}")
-        self.specialize = props.get("specialize", True)
-        if not isinstance(self.specialize, bool):
-            raise ValueError(f"whitted: 'specialize' must be true or false, got {self.specialize}")
+        specialize = props.get("specialize", True)
+        if not isinstance(specialize, bool):
+            raise ValueError(f"whitted: 'specialize' must be true or false, got {specialize}")
+        # Features that stay in the kernel though a scene does not need them: measurements set this.
+        self.keep = frozenset() if specialize else frozenset(FEATURES)
+        self.memory = Memory()
+        # Hears the share done after each of several passes.
+        self.on_progress = lambda share: None
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
 
     def sample(self, scene, sampler, ray, medium=None, active=True, mode=None, **_):
         """Radiance along `ray`, in the form that Mitsuba expects of an integrator of this variant."""
-        radiance, valid = self._tracer(scene, mode).trace(ray, active)
+        radiance, valid = self.tracer(scene, mode).trace(ray, active)
         return (radiance, valid, [], None) if IS_JIT else (radiance, valid, [])
 
     def prepare(self, sensor, seed=0, spp=0, aovs=()):
@@ -92,40 +98,71 @@ class Whitted(Base):
 
     def sample_rays(self, scene, sensor, samples):
         """Camera rays of all samples, their weights, and their positions on the film."""
-        return samples.rays(dr.arange(mi.UInt32, samples.count))
+        return samples.all()
 
     def to_string(self):
         return f"Whitted[convention = {self.convention}, max_depth = {self.depth}, shadows = {self.shadows}]"
 
-    def _tracer(self, scene, mode=None):
+    def tracer(self, scene, mode=None):
+        """What renders `scene`; `mode` is None or that of a derivative."""
         return Tracer(
             scene,
+            self.memory,
             convention=self.convention,
             max_depth=self.depth,
             shadows=self.shadows,
-            ambient=None if self.ambient.left_out else self.ambient,
+            ambient=None if self.ambient.left_out and "ambient" not in self.keep else self.ambient,
             hide_emitters=self.hide_emitters,
             gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
-            specialize=self.specialize,
+            keep=self.keep,
         )
+
+    def features(self, scene, sensor, spp):
+        """Those of `needs.FEATURES` that the kernel holds which renders `scene`."""
+        features = self.tracer(scene).features()
+        return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
+
+    def _needs_block(self, film, spp) -> bool:
+        return spp > 1 or "film block" in self.keep or not _is_plain(film)
 
     if IS_JIT:
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
-            """One sample for each pixel is the picture; more, and other filters, go through the film's block."""
+            """One sample for each pixel is the picture; more, and other filters, go through the film's block, pass by
+            pass where they are many."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
             spp = spp or sensor.sampler().sample_count()
-            if spp > 1 or not (develop and self.specialize and _is_plain(film)):
-                return super().render(scene, sensor, seed, spp, develop, evaluate)
+            if not develop:
+                raise ValueError("whitted: renders with develop = true only; sensor.film() has the rest afterwards")
             with dr.suspend_grad():
-                samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
-                ray, weight, _ = self.sample_rays(scene, sensor, samples)
-                radiance, valid = self._tracer(scene).trace(ray, True)
+                samples, spp = self.prepare(sensor, seed, spp, self.aov_names())
+                tracer = self.tracer(scene)
+                if self._needs_block(film, spp):
+                    return self._render_passes(samples, tracer, film)
+                ray, weight, _ = samples.all()
+                radiance, valid = tracer.trace(ray, True)
                 channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
                 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
                     channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
                 return _store(film, channels)
+
+        def _render_passes(self, samples, tracer, film):
+            block = film.create_block()
+            # The samples of a pixel are neighbours: added up before they are written.
+            block.set_coalesce(block.coalesce() and samples.spp >= 4)
+            passes = samples.passes()
+            for first, pixels in passes:
+                ray, weight, position = samples.pixel_rays(first, pixels)
+                radiance, valid = tracer.trace(ray, True)
+                alpha = dr.select(valid, mi.Float(1), mi.Float(0))
+                Base._splat_to_block(block, film, position, radiance * weight, mi.Float(1), alpha, [], ray.wavelengths)
+                if len(passes) > 1:
+                    dr.eval(block.tensor())
+                    dr.sync_thread()
+                    self.on_progress((first + pixels) / samples.pixels)
+            film.put_block(block)
+            return film.develop()
 
     else:
 
@@ -135,7 +172,7 @@ class Whitted(Base):
             samples, _ = self.prepare(sensor, seed, spp, self.aov_names())
             film = sensor.film()
             block = film.create_block()
-            tracer = self._tracer(scene)
+            tracer = self.tracer(scene)
             for index in range(samples.count):
                 ray, weight, position = samples.rays(index)
                 radiance, valid = tracer.trace(ray, True)

@@ -59,12 +59,12 @@ def number(x: float | None) -> str:
     return f"{x:.3g}" if x == 0 or 0.01 <= abs(x) < 1e4 else f"{x:.1e}".replace("e-0", "e-").replace("e+0", "e")
 
 
-def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns aligned: the first to the left, the others to the right."""
+def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Columns aligned: the first `left` to the left, the others to the right."""
     table = [list(headings), *map(list, rows)]
     widths = [max(len(row[i]) for row in table) for i in range(len(headings))]
     lines = [
-        "  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        "  ".join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         for row in table
     ]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"

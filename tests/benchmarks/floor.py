@@ -1,82 +1,62 @@
-"""How close `whitted` is to the ray floor: the same rays on plain arrays, without film, sampler and shading.
+"""How close `whitted` is to the ray floor, on five scenes.
 
-python tests/benchmarks/floor.py [REPEATS]
-
-Interleaved with the general kernel (`specialize = false`), medians and their ratios.
+Interleaved with the general kernel (`specialize = false`). The rays of floor and `whitted` are
+counted: they differ only where rounding decides.
 """
 
-import sys
-import time
-from pathlib import Path
-
-import phong_bsdf  # noqa: F401
-
-import drjit as dr  # isort: skip
 import mitsuba as mi
-import numpy as np
 
-mi.set_variant("llvm_ad_rgb")
+from phong_bsdf.needs import FEATURES
 
-SCENE = Path(__file__).parent.parent.parent / "scenes/lecture/mirror-floor.xml"
-SIZE = 2048
-DEPTH = 10
+from . import scenes
+from .measure import Plan, compared, fresh_process, interleaved, record
+from .rays import Floor, counted
 
-
-@dr.syntax
-def floor(scene):
-    """Camera, shadow and mirror rays of the scene; one float a pixel."""
-    sensor = scene.sensors()[0]
-    index = dr.arange(mi.UInt32, SIZE * SIZE)
-    row = index // SIZE
-    ray, _ = sensor.sample_ray(0, 0, (mi.Point2f(index - row * SIZE, row) + 0.5) / SIZE, mi.Point2f(0.5))
-    o, d = mi.Point3f(ray.o), mi.Vector3f(ray.d)
-    alive, lit, depth = dr.full(mi.UInt32, 1, SIZE * SIZE), dr.zeros(mi.Float, SIZE * SIZE), mi.UInt32(0)
-    lights = [mi.Point3f(emitter.sample_direction(dr.zeros(mi.Interaction3f), mi.Point2f(0))[0].p)
-              for emitter in scene.emitters()]  # fmt: skip
-    mirrors = [mi.ShapePtr(shape) for shape in scene.shapes() if mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Delta)]
-    while dr.hint(alive != 0, max_iterations=DEPTH - 1):
-        si = scene.ray_intersect(mi.Ray3f(o, d), mi.RayFlags.All, coherent=depth == 0, active=alive != 0)
-        hit = si.is_valid() & (alive != 0)
-        start = si.p + 1e-4 * si.n
-        for light in lights:
-            toward = light - start
-            distance = dr.norm(toward)
-            facing = hit & (dr.dot(toward, si.n) > 0) & (dr.dot(d, si.n) < 0)
-            shadow = mi.Ray3f(start, toward / distance, distance, 0, [])
-            lit += dr.select(facing & ~scene.ray_test(shadow, False, facing), mi.Float(1), mi.Float(0))
-        is_mirror = mi.Bool(False)
-        for mirror in mirrors:
-            is_mirror |= si.shape == mirror
-        o, d = mi.Point3f(start), mi.Vector3f(d - 2 * dr.dot(d, si.n) * si.n)
-        depth += 1
-        alive = dr.select(hit & is_mirror, mi.UInt32(1), mi.UInt32(0))
-    return lit
+# Name, scene, pixels of a side, how far off a surface the floor's rays start.
+SCENES = (
+    ("lecture", scenes.lecture, 2048, 1e-4),
+    ("course 6", scenes.course, 2048, 2e-3),
+    ("mesh", scenes.mesh, 1024, 1e-4),
+    ("100 spheres", scenes.spheres, 2048, 1e-5),
+    ("textured", scenes.textured, 2048, 1e-4),
+)
 
 
-def main(repeats=15):
-    """Prints one line for each."""
-    scene = mi.load_file(str(SCENE), width=str(SIZE), height=str(SIZE), max_depth=str(DEPTH))
+def records(plan: Plan):
+    """Times of floor, `whitted` and its general kernel, their ratios, and how many rays each traces."""
+    found = []
+    for name, _, size, _ in SCENES:
+        with fresh_process(plan.variant) as run:
+            found += run(_measure, name, plan.of(size, 64), plan.of(15, 2))
+    return found
+
+
+def _measure(name, size, rounds):
+    build, epsilon = next((build, epsilon) for known, build, _, epsilon in SCENES if known == name)
+    scene = build(size)
     integrator = scene.integrator()
 
     def render(specialize):
-        integrator.specialize = specialize
+        integrator.keep = frozenset() if specialize else frozenset(FEATURES)
         return mi.render(scene)
 
-    tasks = {"ray floor": lambda: floor(scene), "whitted": lambda: render(True), "general": lambda: render(False)}
-    times = {name: [] for name in tasks}
-    for repeat in range(repeats + 2):
-        for name, task in tasks.items():
-            dr.sync_thread()
-            start = time.perf_counter()
-            dr.eval(task())
-            dr.sync_thread()
-            # The first two rounds compile and warm up.
-            if repeat >= 2:
-                times[name].append(time.perf_counter() - start)
-    medians = {name: float(np.median(t)) for name, t in times.items()}
-    for name, seconds in medians.items():
-        print(f"{name:10} {SIZE} x {SIZE}: {seconds * 1e3:6.1f} ms, {seconds / medians['ray floor']:.2f} x the floor")
+    floor = Floor(scene, size, scenes.DEPTH, epsilon)
+    tasks = {"ray floor": floor, "whitted": lambda: render(True), "whitted, general": lambda: render(False)}
+    found = compared("floor", name, interleaved(tasks, rounds), "ray floor", size)
+
+    return found + _rays(name, build, epsilon, min(size, 256))
 
 
-if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+def _rays(name, build, epsilon, size):
+    """How many rays each traces, and the share by which `whitted` differs from the floor."""
+    scene = build(size)
+    tasks = {"ray floor": Floor(scene, size, scenes.DEPTH, epsilon), "whitted": lambda: mi.render(scene)}
+    found, kinds = [], {}
+    for task, run in tasks.items():
+        rays = counted(run)
+        followed = rays["ray_intersect"] + rays["ray_intersect_preliminary"]
+        kinds[task] = {"shadow rays": rays["ray_test"], "camera and mirror rays": followed}
+        found += [record("floor", name, task, kind, count, "rays", size) for kind, count in kinds[task].items()]
+    differ = sum(abs(kinds["whitted"][kind] - count) for kind, count in kinds["ray floor"].items())
+    share = differ / sum(kinds["ray floor"].values())
+    return [*found, record("floor", name, "whitted", "share of rays that differ", share, "1", size)]
