@@ -87,7 +87,7 @@ def test_a_model(folder, vocabulary):
 
 
 def test_no_camera(folder):
-    """Mitsuba adds its own camera, so it loads; the options are for models."""
+    """The scene has none, and loads."""
     assert phong_bsdf("convert", "a.obj", "-o", "a.xml", "--camera", "none").exit_code == 0
     assert "<sensor" not in Path("a.xml").read_text()
 

@@ -159,6 +159,9 @@ def _settings(context: Context) -> None:
         root.insert(0, root.like("integrator", type="direct"))
         context.journal.change(root.place, "no integrator", "now 'direct', as Mitsuba 0.6 chose it")
     sensors = [node for node in root.all() if node.tag == "sensor"]
+    if not sensors:
+        why = "Mitsuba 0.6 would choose a camera, Mitsuba 3 does not; add a <sensor>"
+        context.journal.loss((root.file, root.line), "no sensor", why)
     if len(sensors) != 1:
         return
     names = {"spp": ("sampler", "sample_count"), "width": ("film", "width"), "height": ("film", "height")}

@@ -71,7 +71,9 @@ def _multiply(node: Node, factor: list[float], context: Context) -> str | None:
         path = _image(node, context)
         if path is None:
             return "the image is missing"
-        _use(node, bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled"), context)
+        raw = node.find_named("raw")
+        gamma = 1.0 if raw is not None and raw.get("value") == "true" else None
+        _use(node, bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled", gamma), context)
     elif set(factor) != {1.0}:
         return f"Mitsuba 3 cannot scale a '{node.type}'"
     return None
@@ -88,7 +90,6 @@ def _bitmap(node: Node, parent: Node, context: Context) -> None:
     gamma, channel = node.take("gamma"), node.take("channel")
     power = number(gamma) if gamma is not None else -1.0
     which = (channel.get("value", "") if channel is not None else "").lower()
-    as_numbers = node.name in NUMBERS or parent.type in ("bumpmap", "normalmap")
     if power in (-1.0, 0.0) and not which:
         return
     path = _image(node, context)
@@ -96,7 +97,7 @@ def _bitmap(node: Node, parent: Node, context: Context) -> None:
         journal.loss(node.place, f"bitmap with gamma {power:g}", "the image is missing, so it cannot be decoded")
     elif path.suffix.lower() in (".exr", ".hdr", ".rgbe", ".pfm") and not which:
         pass  # linear, whatever the gamma
-    elif power == 1.0 and as_numbers and not which:
+    elif power == 1.0 and not which and _holds_numbers(node, parent, context):
         node.add("boolean", name="raw", value="true")
         journal.change(gamma.place, "gamma 1", "now raw: the numbers as they are in the file")
     else:
@@ -104,6 +105,14 @@ def _bitmap(node: Node, parent: Node, context: Context) -> None:
         _use(node, new, context)
         what = f"gamma {power:g}" if power > 0 else f"channel '{which}'"
         journal.change(node.place, f"bitmap with {what}", f"decoded into the linear image '{new.name}'")
+
+
+def _holds_numbers(node: Node, parent: Node, context: Context) -> bool:
+    """Whether a texture is one of numbers, perhaps scaled ones, and not of colours."""
+    above = {child: node for node in context.root.all() for child in node.nodes}
+    while (parent.tag, parent.type) == ("texture", "scale"):
+        node, parent = parent, above[parent]
+    return node.name in NUMBERS or parent.type in ("bumpmap", "normalmap")
 
 
 def _channel(image: np.ndarray, which: str) -> np.ndarray:

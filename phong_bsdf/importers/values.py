@@ -8,6 +8,10 @@ from .xmlfile import Node
 
 # Range of the wavelength bins of Mitsuba 0.x, in nm.
 FIRST_WAVELENGTH, LAST_WAVELENGTH = 360.0, 830.0
+WAVELENGTH_STEP = 10
+
+# SI, exact since 2019.
+PLANCK, LIGHT_SPEED, BOLTZMANN = 6.62607015e-34, 299792458.0, 1.380649e-23
 
 
 def numbers(text: str, node: Node) -> list[float]:
@@ -113,15 +117,24 @@ def _rewrite_spectrum(node: Node, journal: Journal) -> None:
 
 
 def _rewrite_blackbody(node: Node, journal: Journal) -> None:
+    """Planck's law at wavelengths: Mitsuba 3's own `blackbody` has no scale, and works in spectral variants only."""
     text = node.attrib.pop("temperature", node.attrib.pop("value", "")).strip()
-    kelvin = numbers(text.rstrip("kK"), node)[0] if "$" not in text else text
-    scale = node.attrib.pop("scale", node.attrib.pop("multiplier", "1"))
+    kelvin = numbers(text.rstrip("kK"), node)[0]
+    scale = numbers(node.attrib.pop("scale", node.attrib.pop("multiplier", "1")), node)[0]
+    if kelvin <= 0:
+        raise _refuse(node, f"a temperature must be above 0, got '{text}'")
     node.tag = "spectrum"
-    node.set("type", "blackbody")
-    node.add("float", name="temperature", value=f"{kelvin:g}" if isinstance(kelvin, float) else kelvin)
-    journal.change(node.place, f"<blackbody> of {text}", 'now <spectrum type="blackbody">')
-    if numbers(scale, node) != [1.0]:
-        journal.loss(node.place, f'<blackbody scale="{scale}">', "Mitsuba 3's blackbody has no scale")
+    steps = range(int(FIRST_WAVELENGTH), int(LAST_WAVELENGTH) + 1, WAVELENGTH_STEP)
+    node.set("value", ", ".join(f"{nm}:{scale * planck(nm, kelvin):.7g}" for nm in steps))
+    journal.change(node.place, f"<blackbody> of {text}", "now its values at wavelengths, with its scale")
+
+
+def planck(nm: float, kelvin: float) -> float:
+    """Radiance of a black body in W / (m^2 sr nm) at a wavelength in nm, as Mitsuba 0.6 and 3 count it."""
+    metres = nm * 1e-9
+    exponent = PLANCK * LIGHT_SPEED / (metres * BOLTZMANN * kelvin)
+    # Beyond, exp overflows, and the radiance is 0 for all purposes.
+    return 2 * PLANCK * LIGHT_SPEED**2 / metres**5 / math.expm1(exponent) * 1e-9 if exponent < 700 else 0.0
 
 
 def _hex(text: str, node: Node) -> list[float]:
