@@ -32,7 +32,8 @@ def _maxima(parameter) -> list[float]:
     if parameter.texture.class_name() == "MeshAttribute":
         return [0.0]
     params = mi.traverse(parameter.texture)
-    if "data" in params and not mi.is_spectral:
+    # Images of 8 bits are kept as they are in the file, encoded: those are looked up.
+    if "data" in params and not mi.is_spectral and dr.is_float_v(params["data"]):
         return [float(x) for x in dr.ravel(dr.max(mi.TensorXf(params["data"]), axis=(0, 1)))]
     wavelengths = [400.0 + 20 * i for i in range(16)] if mi.is_spectral else [0.0] * 4
     found = []

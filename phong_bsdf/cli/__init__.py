@@ -5,6 +5,7 @@ import click
 from .. import __version__
 from .compare import compare
 from .converge import converge
+from .convert import convert
 from .doctor import doctor
 from .explain import explain
 from .render import render
@@ -17,5 +18,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, compare, converge, explain, stability, doctor):
+for command in (render, convert, compare, converge, explain, stability, doctor):
     main.add_command(command)
