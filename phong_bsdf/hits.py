@@ -133,8 +133,13 @@ class Stage:
         lengths = 1 / _array(dr.abs(dr.dot(dr.normalize(axis), ray.d)) + dr.zeros(mi.Float, len(positions)))[:, 0]
         index, bounces, backgrounds = np.arange(len(positions)), [], []
         ray = mi.Ray3f(ray.o, ray.d, ray.maxt, ray.time, ray.wavelengths)
+        eye = ray.o
+        if sensor.class_name() == "PerspectiveCamera":
+            # Where distances begin; rays begin at the near clipping plane.
+            eye = sensor.world_transform() @ mi.Point3f(0)
         for depth in range(self.most_hits):
-            bounce, background, ray = self._bounce(ray, index, depth, raw_mirrors)
+            bounce, background, ray = self._bounce(ray, eye, index, depth, raw_mirrors)
+            eye = ray.o
             seen = np.zeros((len(positions), 3))
             seen[index] = background
             backgrounds.append(seen)
@@ -146,7 +151,7 @@ class Stage:
         colour = np.zeros(3) if ambient.left_out else _array(mi.Color3f(ambient.value(_nowhere(), True)))[0]
         return Hits(len(positions), tuple(bounces), tuple(backgrounds), lengths, colour)
 
-    def _bounce(self, ray, index, depth, raw_mirrors):
+    def _bounce(self, ray, eye, index, depth, raw_mirrors):
         """The hits of `ray`, what the rest of them sees, and the mirrored rays."""
         n = len(index)
         si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=True)
@@ -156,9 +161,11 @@ class Stage:
             background = _array(dr.select(valid, 0, mi.Color3f(self.background.eval(si, ~valid))), n)
         si.p = self.surfaces.refine(si, ray)
         tolerance = self.surfaces.tolerance(si, valid)
+        # Once for all that is asked about these hits.
+        dr.eval(si, tolerance, valid)
 
         hit = np.array(valid)
-        distance = _array(dr.norm(si.p - ray.o), n)[hit, 0]
+        distance = _array(dr.norm(si.p - eye), n)[hit, 0]
         view = _unit(_array(-ray.d, n)[hit])
         columns, flips = self._surface_columns(si, valid, n)
         # A surface with two sides turns its normal to the viewer.
@@ -180,7 +187,9 @@ class Stage:
         onward = np.zeros(n, bool)
         onward[hit] = (bounce.km.max(axis=-1) > 0) & (_dot(normal, view) > 0)
         lanes = mi.UInt32(np.flatnonzero(onward))
-        origin = self.surfaces.leave(si, direction, tolerance)[0]
+        # Such a direction can lead into the surface, which is then met from outside.
+        outward = mi.Vector3f(si.n) * dr.sign(dr.dot(si.n, -ray.d)) * tolerance
+        origin = mi.Point3f(si.p + outward) if raw_mirrors else self.surfaces.leave(si, direction, tolerance)[0]
         origin, direction = dr.gather(mi.Point3f, origin, lanes), dr.gather(mi.Vector3f, direction, lanes)
         dr.eval(origin, direction)
         return bounce, background, mi.Ray3f(origin, direction)
@@ -190,7 +199,7 @@ class Stage:
         names = {"material": 1, "diffuse": 3, "specular": 3, "cosine": 1, "exponent": 1, "km": 3}
         columns = {name: np.zeros((n, channels)) for name, channels in names.items()}
         flips = np.zeros((n, 1), bool)
-        bsdf = si.bsdf(None) if False else si.bsdf()
+        bsdf = si.bsdf()
         for number, (pointer, surface) in enumerate(self.surfaces_of):
             here = np.array(valid & (bsdf == pointer) & dr.full(mi.Bool, True, n))
             if not here.any():
@@ -218,6 +227,7 @@ class Stage:
         past = self.surfaces.shadow_ray(si, direction, dr.inf, tolerance)
         blocked = [self.scene.ray_test(ray, coherent=False, active=has) for ray in (shadow, past)]
         blocked.append(self._blocked_by_others(shadow, si.shape, has))
+        dr.eval(direction, distance, intensity, has, blocked)
         visible = [_array(mi.Float(has & (b == False)), n)[hit, 0] > 0 for b in blocked]  # noqa: E712
         toward, distance = _unit(_array(direction, n)[hit]), _array(distance, n)[hit, 0]
         at_infinity = np.isinf(distance)
@@ -253,14 +263,14 @@ class _Surface:
         self.two_sided, self.km = False, None
         while True:
             nested = _children(bsdf)
-            if bsdf.class_name() == "TwoSided" and len(nested) == 1:
+            if bsdf.class_name() == "TwoSidedBRDF" and len(nested) == 1:
                 self.two_sided, bsdf = True, nested[0]
             elif type(bsdf).__name__ == "MirrorBlend" and self.km is None:
                 self.km, bsdf = bsdf.km, bsdf.nested
             else:
                 break
         self.bsdf, self.lobe = bsdf, getattr(bsdf, "NAME", None)
-        if self.lobe is None and bsdf.class_name() not in ("Diffuse", "SmoothDiffuse"):
+        if self.lobe is None and bsdf.class_name() != "SmoothDiffuse":
             raise Undiagnosable(f"the surface '{name}' is a {bsdf.class_name()}; diagnosis knows phong, blinnphong, "
                                 "diffuse, mirrorblend and twosided")  # fmt: skip
         specular = exponent = None
@@ -299,11 +309,8 @@ def _children(bsdf) -> list:
     found = []
 
     class Callback(mi.TraversalCallback):
-        def put_object(self, name, obj, flags):
-            found.extend([obj] * isinstance(obj, mi.BSDF))
-
-        def put_value(self, name, value, flags):
-            pass
+        def put(self, name, value, flags):
+            found.extend([value] * isinstance(value, mi.BSDF))
 
     bsdf.traverse(Callback())
     return found

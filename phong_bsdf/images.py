@@ -102,7 +102,7 @@ def png(image: np.ndarray, *, linear: bool = False) -> bytes:
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
-    image = image if linear else srgb(image)
+    image = image if linear else _srgb_colors(image)
     if image.shape[2] == 2:
         image = image[:, :, [0, 0, 0, 1]]
     stream = MemoryStream()
@@ -115,12 +115,15 @@ def _write_png(path: str, image: np.ndarray, linear: bool) -> None:
     Path(path).write_bytes(png(image, linear=linear))
 
 
-def srgb(image: np.ndarray) -> np.ndarray:
-    """The sRGB encoding of a linear image, clamped to [0, 1]; alpha stays as it is."""
+def srgb(colors: np.ndarray) -> np.ndarray:
+    """The sRGB encoding of linear values, clamped to [0, 1]; NaN becomes 0."""
+    colors = np.clip(np.nan_to_num(colors, nan=0.0), 0, 1)
+    return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
+
+
+def _srgb_colors(image: np.ndarray) -> np.ndarray:
     alpha = 3 if image.shape[2] > 2 else 1
-    color = np.clip(np.nan_to_num(image[:, :, :alpha], nan=0.0), 0, 1)
-    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    return np.concatenate([encoded, image[:, :, alpha:]], axis=2)
+    return np.concatenate([srgb(image[:, :, :alpha]), image[:, :, alpha:]], axis=2)
 
 
 @contextlib.contextmanager
