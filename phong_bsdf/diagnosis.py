@@ -3,7 +3,7 @@
 The hits are traced once for a scene and shaded often, on a part of the pixels; a class of pictures shares them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -20,29 +20,25 @@ from .shading import RIGHT, Recipe, shade, terms
 LOOKED_AT = 16000
 LOOKED_AT_FIRST = 3000
 
-# A pixel that is off by this much more than allowed is as wrong as can be.
+# A pixel that is off is half wrong at least, and wholly where it is off by this much more than allowed: a picture that
+# is merely as dark as a mistake makes it is not explained by that.
 FAR = 0.05
 
 # A mistake is named if it explains this part of what is wrong; a pair has more ways to do so by chance, acne still more.
 ENOUGH, ENOUGH_PAIR, ENOUGH_ACNE = 0.6, 0.75, 0.8
 
 # A single mistake that explains this much is not asked for a second.
-NEARLY_ALL = 0.95
+NEARLY_ALL = 0.97
 
 # Two mistakes whose parts differ by less are not told apart.
 SAME = 0.01
 
-# Acne is a matter of single pixels, but of many: so many changes between right and wrong, for each wrong pixel and
-# direction, and this part of the picture.
-SPECKLED = 0.15
-SPECKLES = 0.005
+# Acne is a matter of single pixels, but of many: at so many of the lit pixels' sides the picture jumps where the right
+# one does not.
+SPECKLED = 0.05
 
 # Vectors that are too long, to the power of an exponent, leave float32.
 LARGEST = 1e30
-
-# So many combinations of lights that acne may take away are tried at each pixel.
-MOST_COMBINATIONS = 64
-
 
 @dataclass(frozen=True)
 class Explanation:
@@ -122,13 +118,12 @@ class Diagnostician:
             return Diagnosis(None, ())
         singles = self._singles(judge)
         best = singles[0] if singles else None
-        if best and best.explained >= NEARLY_ALL:
-            return Diagnosis(best, tuple(singles))
-        pair = self._best_pair(judge, picture, allowed)
-        enough = pair and pair.explained >= ENOUGH_PAIR
-        if enough and 1 - pair.explained <= 0.5 * (1 - (best.explained if best else 0)):
-            return Diagnosis(pair, (pair, *singles))
-        named = best if best and best.explained >= _enough(best) else None
+        if best and best.explained < NEARLY_ALL:
+            pair = self._best_pair(judge, picture, allowed)
+            # The second has to explain most of what the first leaves.
+            if pair and pair.explained >= _enough(pair) and 1 - pair.explained <= 0.5 * (1 - best.explained):
+                best, singles = pair, [pair, *singles]
+        named = best if best and best.explained >= _enough(best) and judge.shows(best.changes) else None
         return Diagnosis(named, tuple(singles))
 
     def picture(self, explanation: Explanation) -> np.ndarray:
@@ -201,8 +196,8 @@ class View:
         """The colours as the picture's file would store them."""
         return _encode(self.shaded(changes), changes, self.scene.encoding)
 
-    def shadowed(self, changes: Sequence[Change]) -> Iterator[np.ndarray]:
-        """The encoded colours with every choice of lights that acne may take away from a pixel."""
+    def shadowed(self, changes: Sequence[Change], values: np.ndarray) -> np.ndarray:
+        """The encoded colours that are closest to `values`, of those that acne can make: any light may be missing."""
         recipe = _recipe(changes)
         hits = self.hits(recipe)
         fixed, lights = np.zeros((hits.count, 3)), []
@@ -212,11 +207,29 @@ class View:
             lights += [part] * (light >= 0)
         lights.sort(key=lambda part: -part.sum())
         fixed, lights = self._mean(fixed), [self._mean(part) for part in lights if part.any()]
+        found = [self._closest(start, fixed, lights, values, changes) for start in (1.0, 0.0)]
+        closer = found[0][1] <= found[1][1]
+        return np.where(closer[:, None], found[0][0], found[1][0])
+
+    def _closest(self, start: float, fixed, lights, values, changes):
+        """Light by light, the part of its samples that brings each pixel closest; the colours, and how close."""
+        # Of several samples in a pixel, some may be shadowed.
         levels = np.linspace(0, 1, min(len(self.scene.grid), 4) + 1)
-        many = int(np.log(MOST_COMBINATIONS) / np.log(len(levels)))
-        for shares in np.stack(np.meshgrid(*[levels] * min(many, len(lights))), -1).reshape(-1, min(many, len(lights))):
-            rest = sum(lights[len(shares) :], start=fixed)
-            yield _encode(rest + sum(s * part for s, part in zip(shares, lights)), changes, self.scene.encoding)
+        shares = [np.full((len(values), 1), start) for _ in lights]
+        total = fixed + start * sum(lights, start=np.zeros_like(fixed))
+        best = _encode(total, changes, self.scene.encoding)
+        distance = np.abs(best - values).sum(axis=-1)
+        for i, part in enumerate(lights):
+            rest = total - shares[i] * part
+            for level in levels:
+                encoded = _encode(rest + level * part, changes, self.scene.encoding)
+                candidate = np.abs(encoded - values).sum(axis=-1)
+                better = candidate < distance
+                distance = np.where(better, candidate, distance)
+                best = np.where(better[:, None], encoded, best)
+                shares[i] = np.where(better[:, None], level, shares[i])
+            total = rest + shares[i] * part
+        return best, distance
 
     def _options(self):
         stage = self.scene.stage
@@ -232,31 +245,48 @@ class _Judge:
     def __init__(self, view: View, values: np.ndarray, allowed: np.ndarray, right: np.ndarray):
         self.view, self.values = view, values
         self.allowed = np.broadcast_to(allowed, values.shape)[tuple(view.pixels.T)]
-        self.speckled = _speckled((np.abs(values - right) > allowed).any(axis=-1))
+        self.speckled = _is_speckled(values, right, allowed)
         self.wrong = self.error(RIGHT_CHANGES)
 
     def explained(self, changes: Sequence[Change]) -> float:
         """The part of what is wrong that these changes explain; below 0 where they make it worse."""
         return 1 - self.error(changes) / self.wrong if self.wrong else 0.0
 
-    def error(self, changes: Sequence[Change]) -> float:
-        """Between 0, every pixel is right, and 1."""
+    def shows(self, changes: Sequence[Change]) -> bool:
+        """Whether the changes also explain what the picture shows besides its most common colour."""
+        colours, counts = np.unique(self.values.reshape(-1, 3), axis=0, return_counts=True)
+        content = (self.values != colours[np.argmax(counts)]).any(axis=-1)
+        return self.error(changes, content) <= 1 - ENOUGH
+
+    def error(self, changes: Sequence[Change], only: np.ndarray | None = None) -> float:
+        """Between 0, every pixel (of those in the mask `only`) is right, and 1."""
+        errors = self._errors_of(changes)
+        if only is not None:
+            only = only[..., None]
+            for change in changes:
+                only = mistakes.unflip(only, change.flip)
+            errors = errors[only[tuple(self.view.pixels.T)][..., 0]]
+        return float(errors.mean()) if errors.size else 1.0
+
+    def _errors_of(self, changes: Sequence[Change]) -> np.ndarray:
         values = self.values
         for change in changes:
             values = mistakes.unflip(values, change.flip)
         values = values[tuple(self.view.pixels.T)]
         if not any(change.acne for change in changes):
-            return float(self._errors(values, self.view.encoded(changes)).mean())
+            return self._errors(values, self.view.encoded(changes))
         if not self.speckled:
-            return 1.0
-        return float(np.minimum.reduce([self._errors(values, e) for e in self.view.shadowed(changes)]).mean())
+            return np.ones(len(values))
+        return self._errors(values, self.view.shadowed(changes, values))
 
     def _errors(self, values, expected) -> np.ndarray:
         excess = (np.abs(values - expected) - self.allowed).max(axis=-1)
-        return np.clip(excess / FAR, 0, 1)
+        return np.where(excess > 0, 0.5 + 0.5 * np.clip(excess / FAR, 0, 1), 0)
 
 
 def _enough(explanation: Explanation) -> float:
+    if len(explanation.changes) > 1:
+        return ENOUGH_PAIR
     return ENOUGH_ACNE if any(change.acne for change in explanation.changes) else ENOUGH
 
 
@@ -287,7 +317,11 @@ def _choose(image: np.ndarray, count: int) -> np.ndarray:
     return np.stack(np.unravel_index(every, (height, width)), -1)
 
 
-def _speckled(wrong: np.ndarray) -> bool:
-    """Whether wrong pixels lie scattered: noise has one change between right and wrong per pixel and direction."""
-    changes = sum(np.count_nonzero(np.diff(wrong, axis=axis)) for axis in (0, 1))
-    return wrong.mean() >= SPECKLES and changes >= SPECKLED * 2 * np.count_nonzero(wrong)
+def _is_speckled(values: np.ndarray, right: np.ndarray, allowed: np.ndarray) -> bool:
+    """Whether a picture jumps from pixel to pixel where the right one is smooth and not black."""
+    limit, jumps, sides = 2 * float(np.mean(allowed)), 0, 0
+    for axis in (0, 1):
+        jump, expected = (np.abs(np.diff(image, axis=axis)).max(axis=-1) for image in (values, right))
+        lit = np.delete(right.max(axis=-1) > limit, -1, axis=axis) & (expected <= limit)
+        jumps, sides = jumps + np.count_nonzero(lit & (jump > 2 * limit)), sides + np.count_nonzero(lit)
+    return jumps > SPECKLED * sides

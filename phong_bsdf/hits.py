@@ -309,7 +309,7 @@ def _children(bsdf) -> list:
     found = []
 
     class Callback(mi.TraversalCallback):
-        def put(self, name, value, flags):
+        def put(self, name, value, *_):
             found.extend([value] * isinstance(value, mi.BSDF))
 
     bsdf.traverse(Callback())
