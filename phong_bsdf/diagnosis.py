@@ -24,7 +24,8 @@ LOOKED_AT_FIRST = 3000
 # is merely as dark as a mistake makes it is not explained by that.
 FAR = 0.05
 
-# A mistake is named if it explains this part of what is wrong; a pair has more ways to do so by chance, acne still more.
+# A mistake is named if it explains this part of what is wrong. A pair has more ways to do so by chance, acne still
+# more.
 ENOUGH, ENOUGH_PAIR, ENOUGH_ACNE = 0.6, 0.75, 0.8
 
 # A single mistake that explains this much is not asked for a second.
@@ -39,6 +40,7 @@ SPECKLED = 0.05
 
 # Vectors that are too long, to the power of an exponent, leave float32.
 LARGEST = 1e30
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -64,7 +66,9 @@ class Explanation:
     @property
     def title(self) -> str:
         """What is wrong, in words."""
-        parts = (f"{m.title} ({c.detail})" if c.detail else m.title for m, c in zip(self.mistakes, self.changes))
+        parts = (
+            f"{m.title} ({c.detail})" if c.detail else m.title for m, c in zip(self.mistakes, self.changes, strict=True)
+        )
         return "; and ".join(parts)
 
     @property
@@ -85,7 +89,7 @@ class Diagnostician:
     """Knows one scene, as seen by one camera, with every usual mistake."""
 
     def __init__(self, scene, sensor, reference: np.ndarray, *, spp: int, encoding: Encoding, directions=()):
-        """`reference`: the right picture, linear; `encoding`: of the pictures to explain; `directions`: as `Stage` has them."""
+        """`reference`: the right picture, linear; `encoding`: of the pictures to explain; `directions` as for `Stage`."""
         if scene.integrator().__class__.__name__ != "Whitted" or scene.integrator().convention != "course":
             raise Undiagnosable("diagnosis knows the integrator whitted in the course convention")
         side = int(np.sqrt(spp))
@@ -126,14 +130,16 @@ class Diagnostician:
         named = best if best and best.explained >= _enough(best) and judge.shows(best.changes) else None
         return Diagnosis(named, tuple(singles))
 
-    def picture(self, explanation: Explanation) -> np.ndarray:
-        """The whole picture as the mistakes make it, encoded; acne is random, and here is not what was handed in."""
-        everything = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), -1).reshape(-1, 2)
+    def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
+        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as it can be."""
         changes = explanation.changes
-        values = View(self, everything[:, ::-1]).encoded(changes).reshape(self.height, self.width, 3)
-        for change in changes:
-            values = mistakes.unflip(values, change.flip)
-        return values
+        rows, columns = np.mgrid[: self.height, : self.width]
+        view = View(self, np.stack([rows.ravel(), columns.ravel()], axis=-1))
+        if any(change.acne for change in changes):
+            values = view.shadowed(changes, _unflipped(handed_in, changes).reshape(-1, 3))
+        else:
+            values = view.encoded(changes)
+        return _unflipped(values.reshape(self.height, self.width, 3), changes)
 
     def _singles(self, judge: "_Judge") -> list[Explanation]:
         """Every mistake in its best form, the best first; equals, the simplest first."""
@@ -262,16 +268,11 @@ class _Judge:
         """Between 0, every pixel (of those in the mask `only`) is right, and 1."""
         errors = self._errors_of(changes)
         if only is not None:
-            only = only[..., None]
-            for change in changes:
-                only = mistakes.unflip(only, change.flip)
-            errors = errors[only[tuple(self.view.pixels.T)][..., 0]]
+            errors = errors[_unflipped(only[..., None], changes)[tuple(self.view.pixels.T)][..., 0]]
         return float(errors.mean()) if errors.size else 1.0
 
     def _errors_of(self, changes: Sequence[Change]) -> np.ndarray:
-        values = self.values
-        for change in changes:
-            values = mistakes.unflip(values, change.flip)
+        values = _unflipped(self.values, changes)
         values = values[tuple(self.view.pixels.T)]
         if not any(change.acne for change in changes):
             return self._errors(values, self.view.encoded(changes))
@@ -288,6 +289,13 @@ def _enough(explanation: Explanation) -> float:
     if len(explanation.changes) > 1:
         return ENOUGH_PAIR
     return ENOUGH_ACNE if any(change.acne for change in explanation.changes) else ENOUGH
+
+
+def _unflipped(values: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
+    """A picture before it was flipped; every flip is its own inverse."""
+    for change in changes:
+        values = mistakes.unflip(values, change.flip)
+    return values
 
 
 def _recipe(changes: Sequence[Change]) -> Recipe:

@@ -110,7 +110,9 @@ class Stage:
             found.setdefault(bsdf.ptr, (bsdf, _name(shape, bsdf, number)))
         self.surfaces_of = [(mi.BSDFPtr(bsdf), _Surface(bsdf, name)) for bsdf, name in found.values()]
         self.materials = [surface.material for _, surface in self.surfaces_of]
-        spheres = {s: 0.5 * float(s.bbox().max.x - s.bbox().min.x) for s in scene.shapes() if s.class_name() == "Sphere"}
+        spheres = {
+            s: 0.5 * float(s.bbox().max.x - s.bbox().min.x) for s in scene.shapes() if s.class_name() == "Sphere"
+        }
         self.radii = [(mi.ShapePtr(shape), radius) for shape, radius in spheres.items() if radius != 1]
 
     @property

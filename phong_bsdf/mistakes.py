@@ -144,7 +144,9 @@ def _lights(count: int) -> Iterator[Mistake]:
     yield _one("falloff", "the light falls off with 1/r²", "Use the intensity as it is, at any distance.", falloff=True)
     if count > 1:
         changes = (Change({"missing_light": i}, detail=f"light {i + 1} of {count}") for i in range(count))
-        yield Mistake("light-missing", "one light is missing", "Add up the contributions of all lights.", tuple(changes))
+        yield Mistake(
+            "light-missing", "one light is missing", "Add up the contributions of all lights.", tuple(changes)
+        )
     forms = {"highlight": "in the highlight", "absolute": "with |n.l|", "negative": "with a negative n.l"}
     yield Mistake(
         "behind", "light from behind the surface is counted", "Where n.l <= 0, the light contributes nothing.",

@@ -60,7 +60,7 @@ def test_ulps(picture):
 
 
 def test_edges_are_forgiven_up_to_a_share(picture):
-    """A pixel that shows what is next to it, as far as there are few of them; nothing else is forgiven."""
+    """Where the picture changes, as far as there are few such pixels; nothing else is forgiven."""
     image = picture.copy()
     image[:10, 19] = picture[:10, 20]
     limits = {"absolute": 1e-3}
@@ -150,9 +150,10 @@ def test_noise_with_a_hole(picture):
     """A NaN in one of the passes fails."""
     passes = np.stack([picture] * 3)
     passes[1, 2, 3] = np.nan
-    assert "not finite, first at row 2, column 3" in verdict.compare_noisy(
-        verdict.sample(passes), verdict.sample(passes[[0, 2]])
-    ).words
+    assert (
+        "not finite, first at row 2, column 3"
+        in verdict.compare_noisy(verdict.sample(passes), verdict.sample(passes[[0, 2]])).words
+    )
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import click
 
 from .. import __version__
+from .check import check
 from .compare import compare
 from .doctor import doctor
 from .render import render
@@ -15,5 +16,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, compare, stability, doctor):
+for command in (render, check, compare, stability, doctor):
     main.add_command(command)
