@@ -66,9 +66,8 @@ class Explanation:
     @property
     def title(self) -> str:
         """What is wrong, in words."""
-        parts = (
-            f"{m.title} ({c.detail})" if c.detail else m.title for m, c in zip(self.mistakes, self.changes, strict=True)
-        )
+        both = zip(self.mistakes, self.changes, strict=True)
+        parts = (f"{mistake.title} ({change.detail})" if change.detail else mistake.title for mistake, change in both)
         return "; and ".join(parts)
 
     @property
@@ -89,7 +88,7 @@ class Diagnostician:
     """Knows one scene, as seen by one camera, with every usual mistake."""
 
     def __init__(self, scene, sensor, reference: np.ndarray, *, spp: int, encoding: Encoding, directions=()):
-        """`reference`: the right picture, linear; `encoding`: of the pictures to explain; `directions` as for `Stage`."""
+        """`reference`: the right picture, linear; `encoding`: of the pictures; `directions` as for `Stage`."""
         if scene.integrator().__class__.__name__ != "Whitted" or scene.integrator().convention != "course":
             raise Undiagnosable("diagnosis knows the integrator whitted in the course convention")
         side = int(np.sqrt(spp))
@@ -131,7 +130,7 @@ class Diagnostician:
         return Diagnosis(named, tuple(singles))
 
     def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
-        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as it can be."""
+        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as can be."""
         changes = explanation.changes
         rows, columns = np.mgrid[: self.height, : self.width]
         view = View(self, np.stack([rows.ravel(), columns.ravel()], axis=-1))

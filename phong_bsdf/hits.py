@@ -1,6 +1,6 @@
 """What the rays of one camera meet, bounce by bounce, as NumPy arrays: traced once, to be shaded in many ways.
 
-The rays, shadows and mirrors are those of `whitted`, by the same `lights` and `spawn`; the formulas are in `shading.py`.
+Rays, shadows and mirrors are those of `whitted`, by the same `lights` and `spawn`; the formulas are in `shading.py`.
 """
 
 from collections.abc import Sequence
@@ -178,7 +178,8 @@ class Stage:
             radius = dr.select(si.shape == shape, r, radius)
         lights = tuple(self._light(i, si, tolerance, valid, hit) for i in range(self._light_count()))
         bounce = Bounce(
-            ray=index[hit], normal=normal, view=view, distance=distance, lights=tuple(x for x in lights if x is not None),
+            ray=index[hit], normal=normal, view=view, distance=distance,
+            lights=tuple(light for light in lights if light is not None),
             normal_length=_array(radius, n)[hit, 0], **{name: column[hit] for name, column in columns.items()},
         )  # fmt: skip
 

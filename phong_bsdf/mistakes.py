@@ -110,7 +110,7 @@ def _picture(srgb: bool, integers: bool, square: bool) -> Iterator[Mistake]:
         yield Mistake("srgb-applied", "the sRGB curve is applied to a picture that should be linear",
                       "Store 255 times the value, without a gamma curve.", (Change(curve="srgb applied"),))  # fmt: skip
     if integers and not srgb:
-        yield Mistake("wrapped", "values above 1 wrap around to dark ones", "Clamp to [0, 1] before the cast to a byte.",
+        yield Mistake("wrapped", "values above 1 wrap around to dark ones", "Clamp to [0, 1] before the cast.",
                       (Change(curve="wrapped"),))  # fmt: skip
     flips = [Change(flip=name, detail=name) for name in FLIPS if square or name != "rows and columns exchanged"]
     yield Mistake("flipped", "the picture is flipped", "Row 0 is the top of the picture, column 0 its left.",
@@ -157,7 +157,7 @@ def _lights(count: int) -> Iterator[Mistake]:
 def _shadows() -> Iterator[Mistake]:
     yield _one("no-shadows", "there are no shadows", "Send a ray to each light; where it is blocked, leave it out.",
                shadows="none")  # fmt: skip
-    yield _one("shadow-past-light", "shadow rays go past the light", "Only what lies between surface and light blocks it.",
+    yield _one("shadow-past-light", "shadow rays go past the light", "Only what is between surface and light blocks it.",
                shadows="past")  # fmt: skip
     yield Mistake("shadow-acne", "shadow acne: surfaces shadow themselves",
                   "Start shadow rays a little above the surface.", (Change(acne=True),))  # fmt: skip
@@ -173,7 +173,7 @@ def _highlights(materials: Sequence[Material]) -> Iterator[Mistake]:
                    lobe="blinnphong")  # fmt: skip
     if lobes != {"diffuse"}:
         yield _one("highlight-missing", "the highlights are missing", "Add k_s times the lobe.", highlight=False)
-        yield _one("highlight-cosine", "the highlight is multiplied by n.l", "Only the diffuse part has the factor n.l.",
+        yield _one("highlight-cosine", "the highlight is multiplied by n.l", "Only the diffuse part has a factor n.l.",
                    cosine=True)  # fmt: skip
 
 
@@ -184,7 +184,7 @@ def _mirrors(bounces: int) -> Iterator[Mistake]:
     yield _one("highlight-unblended", "(1 - k_m) is missing from the highlight",
                "(1 - k_m) multiplies diffuse part and highlight.", mirror="highlight")  # fmt: skip
     fewer = (Change({"bounces": n}, detail=f"{n} instead of {bounces}") for n in range(bounces - 1, -1, -1))
-    yield Mistake("too-few-bounces", "rays are mirrored too few times", "Follow mirrors as often as the scene asks for.",
+    yield Mistake("too-few-bounces", "rays are mirrored too few times", "Follow mirrors as often as the scene asks.",
                   tuple(fewer))  # fmt: skip
     yield _one("dark-end", "after the last bounce the mirrored part is black",
                "There a mirror shows its own colour in full, as if k_m = 0.", end="dark")  # fmt: skip

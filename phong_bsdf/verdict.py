@@ -67,7 +67,7 @@ def compare(
     """Compare two pictures without noise; ValueError where their sizes or channels differ.
 
     A value is right within `absolute` + `relative` |expected|, or within `ulps` steps of float32. `edges` is the part
-    of the pixels that may be off at edges, which a rounding hits or misses: there the expected picture changes, from one
+    of the pixels that may be off at edges, which a rounding hits or misses: there the expected picture changes, from a
     pixel to those around it, by at least half as much. They are forgiven if there are no more of them.
     """
     actual, expected = metrics.check_shapes(actual, expected)
@@ -222,11 +222,11 @@ def _contrast(image: np.ndarray) -> np.ndarray:
 
 
 def _words(actual, expected, wrong, excess, forgiven: int) -> str:
-    at_edges = f" {_pixels(forgiven)} at edges {'is' if forgiven == 1 else 'are'} off, which is allowed." * bool(
-        forgiven
-    )
+    at_edges = ""
+    if forgiven:
+        at_edges = f" {_pixels(forgiven)} at edges {'is' if forgiven == 1 else 'are'} off, which is allowed."
     if not wrong.any():
-        return f"Every pixel is right.{at_edges}" if not forgiven else f"The picture is right.{at_edges}"
+        return f"The picture is right.{at_edges}" if forgiven else "Every pixel is right."
     row, column = np.unravel_index(np.argmax(np.where(wrong, excess, -1)), wrong.shape)
     return (
         f"{int(wrong.sum())} of {wrong.size} pixels are off ({100 * wrong.mean():.3g} %), most at row {row}, "
@@ -239,10 +239,9 @@ def _brightness(actual, expected) -> str:
     found, wanted = metrics.energy(actual), metrics.energy(expected)
     if wanted <= 0 or abs(found / wanted - 1) < 1e-3:
         return ""
-    change = f"{100 * abs(found / wanted - 1):.2g} %" if found < 2 * wanted else f"{found / wanted:.2g} times as"
-    return f" On the whole it is {change} {'brighter' if found > wanted else 'darker'}.".replace(
-        "as brighter", "as bright"
-    )
+    if found >= 2 * wanted:
+        return f" On the whole it is {found / wanted:.2g} times as bright."
+    return f" On the whole it is {100 * abs(found / wanted - 1):.2g} % {'brighter' if found > wanted else 'darker'}."
 
 
 def _pixels(count: int) -> str:

@@ -29,7 +29,9 @@ def text(grade: Grade) -> str:
     lines = [f"{grade.picture}: {grade.status}" + (f", score {grade.score:.2f}" if grade.status != UNREADABLE else "")]
     lines.append(f"  {grade.words}")
     if grade.mistake:
-        lines += [f"  XX
+        confidence = percent(grade.mistake.confidence)
+        lines.append(f"  {certainty(grade.mistake)}: {grade.mistake.title} (confidence {confidence}).")
+        lines.append(f"    {grade.mistake.advice}")
         lines += [f"    In this scene it looks the same where {other}." for other in grade.mistake.same]
     elif grade.candidates or (grade.status not in (RIGHT, UNREADABLE) and not grade.notes):
         lines.append(f"  {NONE_OF_THESE}")
@@ -41,7 +43,9 @@ def text(grade: Grade) -> str:
 
 def certainty(mistake: Mistake) -> str:
     """The confidence in words."""
-    return "Almost surely" if mistake.confidence >= ALMOST_SURE else "Probably" if mistake.confidence >= PROBABLE else "Perhaps"
+    if mistake.confidence >= ALMOST_SURE:
+        return "Almost surely"
+    return "Probably" if mistake.confidence >= PROBABLE else "Perhaps"
 
 
 def percent(share: float) -> str:
@@ -126,9 +130,9 @@ def write_index(folder: Path, assignment: Assignment, grades: Sequence[Grade], n
     right = sum(grade.status == RIGHT for grade in grades)
     page.write(
         path, "check_index.html", title=f"{assignment.name}: {right} of {len(grades)} right",
-        summary=f"{assignment.size[0]} × {assignment.size[1]}, tolerance {assignment.options.tolerance:g} of 255, edges "
-        f"{100 * assignment.options.edges:g} %",
-        context=tables.context(), rows=[(grade, name, _short(grade)) for grade, name in zip(grades, names, strict=True)],
+        summary=f"{assignment.size[0]} × {assignment.size[1]}, tolerance {assignment.options.tolerance:g} of 255, "
+        f"edges {100 * assignment.options.edges:g} %",
+        context=tables.context(), rows=list(zip(grades, names, map(_short, grades), strict=True)),
     )  # fmt: skip
     return path
 
@@ -156,14 +160,10 @@ def page_names(files: Sequence[Path]) -> list[str]:
 
 
 def _short(grade: Grade) -> str:
+    if grade.status == RIGHT:
+        return ""
     if grade.status == UNREADABLE:
         return grade.words.split(": ", 1)[-1].rstrip(".")
     if grade.mistake:
         return f"{grade.mistake.title} ({percent(grade.mistake.confidence)})"
-    return (
-        ""
-        if grade.status == RIGHT
-        else "not diagnosed"
-        if grade.notes and not grade.candidates
-        else "none of the usual"
-    )
+    return "not diagnosed" if grade.notes and not grade.candidates else "none of the usual"
