@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.special  # noqa: F401
 
-from phong_bsdf import images
+from phong_bsdf import images, isolation, references  # noqa: F401
+from phong_bsdf.report import render_check  # noqa: F401
 
+# All that the plugin imports is imported above: pytester forgets what is imported while it runs.
 pytest_plugins = ["pytester"]
 
 CHECKOUT = Path(__file__).parent.parent
@@ -38,15 +41,19 @@ def test_ball(render_check):
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    """A folder outside of the checkout; the function runs pytest there, with warnings as errors."""
+    """A folder outside of the checkout; the function runs pytest there, with warnings as errors, in this process or, much
+    slower, as a child of its own."""
     monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    # The other plugins of this environment, and rewritten assertions, would cost more than the tests.
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     pytester.path.joinpath("scene.xml").write_text(SCENE)
     assert CHECKOUT not in pytester.path.parents
 
-    def run(*args, test=None):
+    def run(*args, test=None, child=False):
         if test is not None:
             pytester.makepyfile(test_it=test)
-        return pytester.runpytest_subprocess("-p", "pytest_phong_bsdf", "-W", "error", *args)
+        start = pytester.runpytest_subprocess if child else pytester.runpytest_inprocess
+        return start("-p", "pytest_phong_bsdf", "-W", "error", "--assert=plain", *args)
 
     run.path = pytester.path
     return run
@@ -65,7 +72,7 @@ def test_a_reference_is_made_and_serves(project):
     assert not (project.path / "references").exists()
     command = re.search(r"Make it with: pytest (.*)", result.stdout.str())[1].split()
     assert command == ["--phong-update-references", "test_it.py::test_ball"]
-    result = project(*command)
+    result = project(*command, child=True)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*references written*", "*references/test_it/test_ball.exr"])
     image = images.read_exr(project.path / "references/test_it/test_ball.exr")
@@ -152,8 +159,8 @@ def test_reports_of_all_workers(project):
     test = "import pytest\n@pytest.mark.parametrize('kd', (0.2, 0.5, 0.8))\ndef test_ball(render_check, kd):\n"
     test += "    render_check('scene.xml', defines={'kd': kd + CHANGE})\n"
     project("--phong-update-references", test=test.replace("CHANGE", "0"))
-    options = ["-n", "2", "--phong-report", "out"]
-    result = project(*options, test=test.replace("CHANGE", "(kd > 0.3) * 0.1"))
+    options = ["-n", "2", "-p", "xdist", "--phong-report", "out"]
+    result = project(*options, test=test.replace("CHANGE", "(kd > 0.3) * 0.1"), child=True)
     result.assert_outcomes(passed=1, failed=2)
     index = (project.path / "out/index.html").read_text()
     assert "2 render checks failed" in index and "Of 3 tests" in index
@@ -164,7 +171,7 @@ def test_reports_of_all_workers(project):
         assert all(f"<figcaption>{name}</figcaption>" in text for name in ("expected", "actual", "difference", "error"))
         assert "pixels are off" in text
     assert len(list((project.path / "out").iterdir())) == 3
-    result = project(*options, test=test.replace("CHANGE", "0"))
+    result = project("--phong-report", "out", test=test.replace("CHANGE", "0"))
     result.assert_outcomes(passed=3)
     assert "No failures" in (project.path / "out/index.html").read_text()
 
@@ -226,21 +233,21 @@ def test_last():
 
 def test_tests_do_not_disturb_each_other(project):
     """Variant, flags and threads are restored, also after a test that fails."""
-    project(test=ISOLATION).assert_outcomes(passed=3, failed=1)
+    project(test=ISOLATION, child=True).assert_outcomes(passed=3, failed=1)
 
 
 def test_nothing_is_imported_before_it_is_needed(project):
     """A project without render checks pays for an environment variable only."""
     test = "import sys, os\ndef test_it():\n    heavy = {'mitsuba', 'drjit', 'phong_bsdf', 'numpy'} & set(sys.modules)\n"
     test += "    assert not heavy\n    assert os.environ.get('DRJIT_LIBLLVM_PATH') or sys.platform != 'linux'\n"
-    project(test=test).assert_outcomes(passed=1)
+    project(test=test, child=True).assert_outcomes(passed=1)
 
 
 def test_llvm_is_chosen_before_mitsuba_is_imported(project):
     """A test module that imports Mitsuba first gets one that can compile."""
     test = "import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')\nimport drjit as dr\n"
     test += "def test_it():\n    assert dr.detail.llvm_version()[0] >= 17 and dr.sum(mi.Float(1, 2))[0] == 3\n"
-    project(test=test).assert_outcomes(passed=1)
+    project(test=test, child=True).assert_outcomes(passed=1)
 
 
 @pytest.mark.parametrize(
