@@ -118,12 +118,17 @@ class RenderCheck:
             references.update(path, scene, chosen)
             self.node.user_properties.append(("phong_reference", str(references.files(path)[0])))
             return
+        outcome, refusal = None, ""
         try:
             outcome = references.check(path, scene, chosen)
+        except references.NoReference as error:
+            refusal = f"{error}. Make it with: {self.command()}"
         except ValueError as error:
-            remedy = "Make it with" if isinstance(error, references.NoReference) else "If the new one is right, run"
-            self.fail(path, f"{error}. {remedy}: {self.command()}", None)
-        if not outcome.verdict.passed:
+            refusal = f"{error}. If the new picture is right, run: {self.command()}"
+        if outcome is None:
+            # Not in the `except`, where pytest would show both.
+            self.fail(path, refusal, None)
+        elif not outcome.verdict.passed:
             accept = f"If the new picture is right, run: {self.command()}"
             self.fail(path, f"{outcome.verdict.words}\nReference: {references.files(path)[0]}\n{accept}", outcome)
 
