@@ -238,7 +238,9 @@ def test_tests_do_not_disturb_each_other(project):
 
 def test_nothing_is_imported_before_it_is_needed(project):
     """A project without render checks pays for an environment variable only."""
-    test = "import sys, os\ndef test_it():\n    heavy = {'mitsuba', 'drjit', 'phong_bsdf', 'numpy'} & set(sys.modules)\n"
+    test = (
+        "import sys, os\ndef test_it():\n    heavy = {'mitsuba', 'drjit', 'phong_bsdf', 'numpy'} & set(sys.modules)\n"
+    )
     test += "    assert not heavy\n    assert os.environ.get('DRJIT_LIBLLVM_PATH') or sys.platform != 'linux'\n"
     project(test=test, child=True).assert_outcomes(passed=1)
 
@@ -289,3 +291,23 @@ def test_pytest_finds_the_plugin():
     (name,) = project["project"]["entry-points"]["pytest11"].values()
     assert f"{name}.py" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
     assert (CHECKOUT / f"{name}.py").is_file()
+
+
+def blocks():
+    """The Python examples of docs/test-authors.md."""
+    return re.findall(r"```python\n(.*?)```", (CHECKOUT / "docs/test-authors.md").read_text(), re.S)
+
+
+def test_documented_tests_work(project):
+    """Every example is a test that passes once its reference is made, and the page's command makes it."""
+    for number, text in enumerate(block for block in blocks() if "def test_" in block):
+        test = f"# {number}\n{text}"
+        count = 2 if "phong_variants" in text else 1
+        project("--phong-update-references", test=test).assert_outcomes(passed=count)
+        project(test=test).assert_outcomes(passed=count)
+
+
+def test_the_documented_comparison_works():
+    """The example without pytest runs as it stands."""
+    (text,) = (block for block in blocks() if "def test_" not in block)
+    exec(compile(text, "test-authors.md", "exec"), {})
