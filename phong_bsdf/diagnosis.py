@@ -130,7 +130,7 @@ class Diagnostician:
         return Diagnosis(named, tuple(singles))
 
     def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
-        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as can be."""
+        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as it gets."""
         changes = explanation.changes
         rows, columns = np.mgrid[: self.height, : self.width]
         view = View(self, np.stack([rows.ravel(), columns.ravel()], axis=-1))

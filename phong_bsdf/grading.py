@@ -110,7 +110,7 @@ class Assignment:
         return self.image.shape[1], self.image.shape[0]
 
     def check(self, file: Path, name: str | None = None) -> Checked:
-        """Compare one file, called `name`, with the rendering, and explain what is wrong; a bad file is a grade, too."""
+        """Compare one file, called `name`, with the rendering, and explain what is wrong; a bad file is graded, too."""
         name = name or Path(file).name
         try:
             picture = pictures.read(file, linear=self.options.linear, size=self.size)

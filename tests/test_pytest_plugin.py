@@ -23,7 +23,9 @@ SCENE = """\
     <integrator type="$integrator"/>
     <sensor type="perspective">
         <sampler type="independent"><integer name="sample_count" value="16"/></sampler>
-        <film type="hdrfilm"><rfilter type="box"/><integer name="width" value="32"/><integer name="height" value="24"/></film>
+        <film type="hdrfilm"><rfilter type="box"/>
+            <integer name="width" value="32"/><integer name="height" value="24"/>
+        </film>
     </sensor>
     <emitter type="point"><point name="position" x="1" y="2" z="0"/><float name="intensity" value="2"/></emitter>
     <shape type="sphere">
@@ -41,8 +43,8 @@ def test_ball(render_check):
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    """A folder outside of the checkout; the function runs pytest there, with warnings as errors, in this process or, much
-    slower, as a child of its own."""
+    """A folder outside of the checkout; the function runs pytest there, with warnings as errors, in this process or,
+    much slower, as a child of its own."""
     monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
     # The other plugins of this environment, and rewritten assertions, would cost more than the tests.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
@@ -102,9 +104,10 @@ def test_options_and_markers(project):
 SCENES = """
 import numpy as np, mitsuba as mi
 
+FILM = {"type": "hdrfilm", "width": 16, "height": 12, "rfilter": {"type": "box"}}
 SCENE = {
     "type": "scene", "integrator": {"type": "whitted"}, "light": {"type": "point", "position": [1, 2, 0]},
-    "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 16, "height": 12, "rfilter": {"type": "box"}}},
+    "sensor": {"type": "perspective", "film": FILM},
     "ball": {"type": "sphere", "center": [0, 0, 4], "bsdf": {"type": "phong"}},
 }
 
