@@ -11,10 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from . import mistakes
-from .hits import Stage, Undiagnosable
+from .hits import Undiagnosable
 from .mistakes import Change, Mistake
 from .pictures import Encoding, Picture
-from .shading import RIGHT, Recipe, shade, terms
+from .stage import Stage
+from .views import View, choose, unflipped
 
 # Pixels that are looked at: half of them anywhere, half where the picture changes. Pairs are searched on fewer.
 LOOKED_AT = 16000
@@ -37,9 +38,6 @@ SAME = 0.01
 # Acne is a matter of single pixels, but of many: at so many of the lit pixels' sides the picture jumps where the right
 # one does not.
 SPECKLED = 0.05
-
-# Vectors that are too long, to the power of an exponent, leave float32.
-LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,8 @@ class Diagnostician:
         self.height, self.width = reference.shape[:2]
         self.grid = np.stack(np.meshgrid(*2 * [(np.arange(side) + 0.5) / side]), -1).reshape(-1, 2)
         self.right = encoding.encode(reference)
-        self.pixels = _choose(self.right, max(LOOKED_AT // spp, LOOKED_AT_FIRST))
-        self.views = [View(self, self.pixels[:n]) for n in (len(self.pixels), LOOKED_AT_FIRST)]
-        self._predicted = {}
+        self.pixels = choose(self.right, max(LOOKED_AT // spp, LOOKED_AT_FIRST))
+        self.views = [self._view(self.pixels[:n]) for n in (len(self.pixels), LOOKED_AT_FIRST)]
 
     @cached_property
     def usual(self) -> list[Mistake]:
@@ -117,7 +114,7 @@ class Diagnostician:
     def explain(self, picture: Picture, allowed: np.ndarray) -> Diagnosis:
         """The mistakes that make the scene look like `picture`; `allowed` is what its values may be off."""
         judge = _Judge(self.views[0], picture.values, allowed, self.right)
-        if judge.error(RIGHT_CHANGES) == 0:
+        if judge.wrong == 0:
             return Diagnosis(None, ())
         singles = self._singles(judge)
         best = singles[0] if singles else None
@@ -130,15 +127,18 @@ class Diagnostician:
         return Diagnosis(named, tuple(singles))
 
     def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
-        """The whole picture as the mistakes make it, encoded; acne, which is random, as close to `handed_in` as it gets."""
+        """The whole picture with the mistakes, encoded; acne, which is random, as close to `handed_in` as it gets."""
         changes = explanation.changes
         rows, columns = np.mgrid[: self.height, : self.width]
-        view = View(self, np.stack([rows.ravel(), columns.ravel()], axis=-1))
+        view = self._view(np.stack([rows.ravel(), columns.ravel()], axis=-1))
         if any(change.acne for change in changes):
-            values = view.shadowed(changes, _unflipped(handed_in, changes).reshape(-1, 3))
+            values = view.shadowed(changes, unflipped(handed_in, changes).reshape(-1, 3))
         else:
             values = view.encoded(changes)
-        return _unflipped(values.reshape(self.height, self.width, 3), changes)
+        return unflipped(values.reshape(self.height, self.width, 3), changes)
+
+    def _view(self, pixels: np.ndarray) -> View:
+        return View(self.stage, self.sensor, self.encoding, self.grid, pixels)
 
     def _singles(self, judge: "_Judge") -> list[Explanation]:
         """Every mistake in its best form, the best first; equals, the simplest first."""
@@ -171,79 +171,6 @@ class Diagnostician:
         return max(pairs, key=lambda pair: pair.explained, default=None)
 
 
-RIGHT_CHANGES: tuple[Change, ...] = ()
-
-
-class View:
-    """Some pixels of the scene, shaded with any mistakes."""
-
-    def __init__(self, scene: Diagnostician, pixels: np.ndarray):
-        self.scene, self.pixels = scene, pixels
-        self._hits, self._shaded = {}, {}
-
-    def hits(self, recipe: Recipe = RIGHT):
-        """The camera rays' hits; shifted rays and other mirror directions are traced on their own."""
-        key = recipe.shift, recipe.raw_mirrors
-        if key not in self._hits:
-            inside = (self.pixels[:, None, ::-1] + self.scene.grid[None] + np.array(recipe.shift)).reshape(-1, 2)
-            self._hits[key] = self.scene.stage.trace(self.scene.sensor, inside, recipe.raw_mirrors)
-        return self._hits[key]
-
-    def shaded(self, changes: Sequence[Change]) -> np.ndarray:
-        """Linear colours of the pixels, (n, 3), float32."""
-        recipe = _recipe(changes)
-        if recipe not in self._shaded:
-            shaded = self._mean(shade(self.hits(recipe), recipe, *self._options()))
-            self._shaded[recipe] = np.clip(shaded, -LARGEST, LARGEST).astype(np.float32)
-        return self._shaded[recipe]
-
-    def encoded(self, changes: Sequence[Change]) -> np.ndarray:
-        """The colours as the picture's file would store them."""
-        return _encode(self.shaded(changes), changes, self.scene.encoding)
-
-    def shadowed(self, changes: Sequence[Change], values: np.ndarray) -> np.ndarray:
-        """The encoded colours that are closest to `values`, of those that acne can make: any light may be missing."""
-        recipe = _recipe(changes)
-        hits = self.hits(recipe)
-        fixed, lights = np.zeros((hits.count, 3)), []
-        for ray, light, colour in terms(hits, recipe, *self._options()):
-            part = fixed if light < 0 else np.zeros((hits.count, 3))
-            part[ray] += colour
-            lights += [part] * (light >= 0)
-        lights.sort(key=lambda part: -part.sum())
-        fixed, lights = self._mean(fixed), [self._mean(part) for part in lights if part.any()]
-        found = [self._closest(start, fixed, lights, values, changes) for start in (1.0, 0.0)]
-        closer = found[0][1] <= found[1][1]
-        return np.where(closer[:, None], found[0][0], found[1][0])
-
-    def _closest(self, start: float, fixed, lights, values, changes):
-        """Light by light, the part of its samples that brings each pixel closest; the colours, and how close."""
-        # Of several samples in a pixel, some may be shadowed.
-        levels = np.linspace(0, 1, min(len(self.scene.grid), 4) + 1)
-        shares = [np.full((len(values), 1), start) for _ in lights]
-        total = fixed + start * sum(lights, start=np.zeros_like(fixed))
-        best = _encode(total, changes, self.scene.encoding)
-        distance = np.abs(best - values).sum(axis=-1)
-        for i, part in enumerate(lights):
-            rest = total - shares[i] * part
-            for level in levels:
-                encoded = _encode(rest + level * part, changes, self.scene.encoding)
-                candidate = np.abs(encoded - values).sum(axis=-1)
-                better = candidate < distance
-                distance = np.where(better, candidate, distance)
-                best = np.where(better[:, None], encoded, best)
-                shares[i] = np.where(better[:, None], level, shares[i])
-            total = rest + shares[i] * part
-        return best, distance
-
-    def _options(self):
-        stage = self.scene.stage
-        return stage.most_hits, stage.integrator.shadows, stage.materials
-
-    def _mean(self, samples: np.ndarray) -> np.ndarray:
-        return samples.reshape(len(self.pixels), -1, 3).mean(axis=1)
-
-
 class _Judge:
     """How well changes explain one picture, on the pixels of a view."""
 
@@ -251,7 +178,7 @@ class _Judge:
         self.view, self.values = view, values
         self.allowed = np.broadcast_to(allowed, values.shape)[tuple(view.pixels.T)]
         self.speckled = _is_speckled(values, right, allowed)
-        self.wrong = self.error(RIGHT_CHANGES)
+        self.wrong = self.error(())
 
     def explained(self, changes: Sequence[Change]) -> float:
         """The part of what is wrong that these changes explain; below 0 where they make it worse."""
@@ -267,11 +194,11 @@ class _Judge:
         """Between 0, every pixel (of those in the mask `only`) is right, and 1."""
         errors = self._errors_of(changes)
         if only is not None:
-            errors = errors[_unflipped(only[..., None], changes)[tuple(self.view.pixels.T)][..., 0]]
+            errors = errors[unflipped(only[..., None], changes)[tuple(self.view.pixels.T)][..., 0]]
         return float(errors.mean()) if errors.size else 1.0
 
     def _errors_of(self, changes: Sequence[Change]) -> np.ndarray:
-        values = _unflipped(self.values, changes)
+        values = unflipped(self.values, changes)
         values = values[tuple(self.view.pixels.T)]
         if not any(change.acne for change in changes):
             return self._errors(values, self.view.encoded(changes))
@@ -288,40 +215,6 @@ def _enough(explanation: Explanation) -> float:
     if len(explanation.changes) > 1:
         return ENOUGH_PAIR
     return ENOUGH_ACNE if any(change.acne for change in explanation.changes) else ENOUGH
-
-
-def _unflipped(values: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
-    """A picture before it was flipped; every flip is its own inverse."""
-    for change in changes:
-        values = mistakes.unflip(values, change.flip)
-    return values
-
-
-def _recipe(changes: Sequence[Change]) -> Recipe:
-    fields = {}
-    for change in changes:
-        fields.update(change.recipe)
-    return replace(RIGHT, **fields)
-
-
-def _encode(image: np.ndarray, changes: Sequence[Change], encoding: Encoding) -> np.ndarray:
-    curves = [change.curve for change in changes if change.curve]
-    return mistakes.CURVES[curves[0]](image) if curves else encoding.encode(image)
-
-
-def _choose(image: np.ndarray, count: int) -> np.ndarray:
-    """`count` pixels (row, column): half of them anywhere, half where the picture changes; in random order."""
-    rng = np.random.default_rng(0)
-    height, width = image.shape[:2]
-    change = sum(np.abs(np.gradient(image, axis=axis)).max(axis=-1) for axis in (0, 1) if image.shape[axis] > 1)
-    change = np.broadcast_to(change, (height, width)).ravel()
-    every = rng.permutation(height * width)
-    if len(every) > count:
-        keys = rng.random(len(every)) ** (1 / np.maximum(change[every], 1e-12))
-        edges = every[np.argsort(-keys)[: count // 2]]
-        anywhere = np.setdiff1d(every, edges, assume_unique=True)
-        every = rng.permutation(np.concatenate([edges, rng.choice(anywhere, count - len(edges), replace=False)]))
-    return np.stack(np.unravel_index(every, (height, width)), -1)
 
 
 def _is_speckled(values: np.ndarray, right: np.ndarray, allowed: np.ndarray) -> bool:

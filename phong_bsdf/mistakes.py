@@ -157,7 +157,7 @@ def _lights(count: int) -> Iterator[Mistake]:
 def _shadows() -> Iterator[Mistake]:
     yield _one("no-shadows", "there are no shadows", "Send a ray to each light; where it is blocked, leave it out.",
                shadows="none")  # fmt: skip
-    yield _one("shadow-past-light", "shadow rays go past the light", "Only what is between surface and light blocks it.",
+    yield _one("shadow-past-light", "shadow rays go past the light", "Only what is between surface and light blocks.",
                shadows="past")  # fmt: skip
     yield Mistake("shadow-acne", "shadow acne: surfaces shadow themselves",
                   "Start shadow rays a little above the surface.", (Change(acne=True),))  # fmt: skip

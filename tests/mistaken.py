@@ -175,8 +175,11 @@ def xml(scene, width=120, height=90):
         x, y, z = values
         return f'<{tag} name="{name}" x="{x}" y="{y}" z="{z}"/>'
 
-    parts = [f'<integrator type="whitted"><integer name="max_depth" value="{scene.bounces + 2}"/>'
-             f'<float name="ambient" value="{scene.ambient}"/></integrator>', _sensor(scene.camera, width, height)]  # fmt: skip
+    parts = [
+        f'<integrator type="whitted"><integer name="max_depth" value="{scene.bounces + 2}"/>'
+        f'<float name="ambient" value="{scene.ambient}"/></integrator>',
+        _sensor(scene.camera, width, height),
+    ]
     if any(scene.background):
         parts.append(f'<emitter type="constant"><rgb name="radiance" value="{numbers(scene.background)}"/></emitter>')
     for light in scene.lights:
@@ -187,8 +190,10 @@ def xml(scene, width=120, height=90):
             parts.append(f'<emitter type="directional">{point("vector", "direction", [-x for x in light.toward])}'
                          f'<float name="irradiance" value="{light.intensity}"/></emitter>')  # fmt: skip
     for i, sphere in enumerate(scene.spheres):
-        bsdf = (f'<bsdf type="{scene.lobe}"><rgb name="kd" value="{numbers(sphere.kd)}"/>'
-                f'<rgb name="ks" value="{numbers(sphere.ks)}"/><float name="p" value="{sphere.p}"/></bsdf>')  # fmt: skip
+        bsdf = (
+            f'<bsdf type="{scene.lobe}"><rgb name="kd" value="{numbers(sphere.kd)}"/>'
+            f'<rgb name="ks" value="{numbers(sphere.ks)}"/><float name="p" value="{sphere.p}"/></bsdf>'
+        )
         if sphere.km:
             bsdf = f'<bsdf type="mirrorblend"><float name="km" value="{sphere.km}"/>{bsdf}</bsdf>'
         parts.append(f'<shape type="sphere" id="ball-{i}">{point("point", "center", sphere.center)}'
