@@ -129,13 +129,17 @@ class Diagnostician:
     def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
         """The whole picture with the mistakes, encoded; acne, which is random, as close to `handed_in` as it gets."""
         changes = explanation.changes
-        rows, columns = np.mgrid[: self.height, : self.width]
-        view = self._view(np.stack([rows.ravel(), columns.ravel()], axis=-1))
+        view = self._everything
         if any(change.acne for change in changes):
             values = view.shadowed(changes, unflipped(handed_in, changes).reshape(-1, 3))
         else:
             values = view.encoded(changes)
         return unflipped(values.reshape(self.height, self.width, 3), changes)
+
+    @cached_property
+    def _everything(self) -> View:
+        rows, columns = np.mgrid[: self.height, : self.width]
+        return self._view(np.stack([rows.ravel(), columns.ravel()], axis=-1))
 
     def _view(self, pixels: np.ndarray) -> View:
         return View(self.stage, self.sensor, self.encoding, self.grid, pixels)

@@ -127,7 +127,12 @@ class Assignment:
         allowed = step + encoding.loss(expected)
         # Floating point goes beyond 1, where the same part of the value is allowed.
         relative = 0.0 if encoding.step else step
-        verdict = compare(picture.values, expected, absolute=allowed, relative=relative, edges=self.options.edges)
+        # Told in the numbers that the file holds: of 8 bits, 0 to 255.
+        unit = round(1 / encoding.step) if encoding.step else 1
+        verdict = compare(
+            picture.values * unit, expected * unit, absolute=allowed * unit, relative=relative,
+            edges=self.options.edges,
+        )  # fmt: skip
         notes, diagnosis = list(picture.notes), Diagnosis(None, ())
         if not verdict.passed and self.options.diagnose and np.isfinite(picture.values).all():
             try:
