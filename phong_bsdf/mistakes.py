@@ -12,6 +12,9 @@ from .hits import Material
 # More swaps of materials than this are not tried: a scene of many materials has thousands.
 MOST_SWAPS = 60
 
+# What can be exchanged, as it is called.
+SWAPPED = {"specular": "k_s", "exponent": "exponent"}
+
 CORNERS = {
     (-0.5, -0.5): "top left corners", (0.5, -0.5): "top right corners",
     (-0.5, 0.5): "bottom left corners", (0.5, 0.5): "bottom right corners",
@@ -191,18 +194,29 @@ def _mirrors(bounces: int) -> Iterator[Mistake]:
 
 
 def _swaps(materials: Sequence[Material]) -> Iterator[Mistake]:
-    words = {"specular": "k_s", "exponent": "exponents"}
+    """Two surfaces, or all with the highlight of either, have each other's k_s, exponent, or both."""
+    groups: dict[tuple, list[int]] = {}
+    for i, material in enumerate(materials):
+        if material.specular is not None and material.exponent is not None:
+            groups.setdefault((_three(material.specular), material.exponent), []).append(i)
     changes = []
-    for a, b in combinations(range(len(materials)), 2):
-        for name, word in words.items():
-            values = [getattr(materials[i], name) for i in (a, b)]
-            if None not in values and _padded(values[0]) != _padded(values[1]):
-                detail = f"{word} of {materials[a].name} and {materials[b].name}"
-                changes.append(Change({"swapped": (name, a, b)}, detail=detail))
+    for one, other in combinations(groups, 2):
+        differ = tuple(name for name, a, b in zip(SWAPPED, one, other, strict=True) if a != b)
+        both = [(tuple(groups[one]), tuple(groups[other]))]
+        both += [((a,), (b,)) for a in groups[one] for b in groups[other] if ((a,), (b,)) != both[0]]
+        for names in dict.fromkeys([(name,) for name in differ] + [differ]):
+            changes += [
+                Change({"swapped": (names, *pair)}, detail=_swap_words(names, pair, materials)) for pair in both
+            ]
     if changes:
         yield Mistake("materials-swapped", "two materials have each other's values", "Compare with the scene file.",
                       tuple(changes[:MOST_SWAPS]))  # fmt: skip
 
 
-def _padded(value):
-    return tuple(np.broadcast_to(value, 3))
+def _swap_words(names, pair, materials: Sequence[Material]) -> str:
+    a, b = (", ".join(materials[i].name for i in group) for group in pair)
+    return f"{' and '.join(SWAPPED[name] for name in names)} of {a} and of {b}"
+
+
+def _three(value) -> tuple[float, ...]:
+    return tuple(float(x) for x in np.broadcast_to(value, 3))

@@ -45,8 +45,8 @@ class Recipe:
     """Mirror bounces, if fewer than the scene asks for."""
     end: str = "bare"
     """After the last bounce a mirror is `bare`, as if k_m = 0, or `dark`: nothing is mirrored."""
-    swapped: tuple[str, int, int] | None = None
-    """`specular` or `exponent`, and two materials that have each other's."""
+    swapped: tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]] | None = None
+    """`specular`, `exponent` or both, and two groups of materials that have each other's."""
     missing_light: int | None = None
 
 
@@ -152,17 +152,13 @@ def _lobe_cosine(recipe: Recipe, bounce: Bounce, materials, n, l, v) -> np.ndarr
 
 def _swapped(recipe: Recipe, bounce: Bounce, materials):
     """Scale and exponent of the highlight."""
-    specular, exponent = bounce.specular, bounce.exponent
-    if recipe.swapped:
-        name, *pair = recipe.swapped
-        for mine, other in (pair, reversed(pair)):
-            here = bounce.material == mine
-            value = getattr(materials[other], name)
-            if name == "specular":
-                specular = np.where(here[:, None], value, specular)
-            else:
-                exponent = np.where(here, value, exponent)
-    return specular, exponent
+    values = {"specular": bounce.specular, "exponent": bounce.exponent[:, None]}
+    names, *pair = recipe.swapped or ((), (), ())
+    for mine, others in (pair, pair[::-1]):
+        here = np.isin(bounce.material, mine)[:, None]
+        for name in names:
+            values[name] = np.where(here, getattr(materials[others[0]], name), values[name])
+    return values["specular"], values["exponent"][:, 0]
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ CLASS = {
 def render(scene, mistakes=(), width=120, height=90):
     """Linear picture with some of the mistakes, (height, width, 3)."""
     if "swapped" in mistakes:
-        scene = swap(scene)
+        scene = swap(scene, ("p",))
     if "fewer" in mistakes:
         scene = replace(scene, bounces=scene.bounces - 1)
     if "lobe" in mistakes:
@@ -71,11 +71,12 @@ def store(image, mistakes=(), srgb=False):
     return image[::-1] if "flipped" in mistakes else image
 
 
-def swap(scene, first=0, second=1):
-    """Two spheres with each other's exponent."""
+def swap(scene, names, one=(0,), other=(1,)):
+    """The scene in which two groups of spheres have each other's values."""
     spheres = list(scene.spheres)
-    a, b = spheres[first], spheres[second]
-    spheres[first], spheres[second] = replace(a, p=b.p), replace(b, p=a.p)
+    for mine, others in ((one, other), (other, one)):
+        for i in mine:
+            spheres[i] = replace(spheres[i], **{name: getattr(scene.spheres[others[0]], name) for name in names})
     return replace(scene, spheres=spheres)
 
 

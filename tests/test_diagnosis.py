@@ -157,6 +157,22 @@ def test_two_mistakes_are_the_best_pair(check, one, other, name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "names", "one", "other", "told"),
+    (
+        ("a", ("ks",), (0,), (1,), "k_s of ball-0 and of ball-1"),
+        ("b", ("ks", "p"), (1,), (3,), "k_s and exponent of ball-1 and of ball-3"),
+        ("course-4", ("p",), (0, 1, 2, 3), (4,), "exponent of ball-0, ball-1, ball-2, ball-3 and of ball-4"),
+    ),
+)
+def test_what_is_swapped_is_told(check, name, names, one, other, told):
+    """k_s, the exponent or both, of two surfaces, or of all that are alike."""
+    image = mistaken.render(mistaken.swap(SCENES[name], names, one, other), (), WIDTH, HEIGHT)
+    grade = check(name, mistaken.store(image))
+    assert grade.mistake.name == "materials-swapped" and told in grade.mistake.title
+
+
+@pytest.mark.slow
 def test_the_picture_of_a_mistake(assignments, check, tmp_path):
     """What is shown beside the student's is the whole picture with the mistake: the same but for rounding."""
     pixels = student("a", "mirror-added", "flipped")
