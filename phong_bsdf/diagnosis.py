@@ -3,6 +3,7 @@
 The hits are traced once for a scene and shaded often, on a part of the pixels; a class of pictures shares them.
 """
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from .views import View, choose, unflipped
 
 # Pixels that are looked at: half of them anywhere, half where the picture changes. Pairs are searched on fewer.
 LOOKED_AT = 16000
-LOOKED_AT_FIRST = 3000
+LOOKED_AT_FIRST = 2000
 
 # A pixel that is off is half wrong at least, and wholly where it is off by this much more than allowed: a picture that
 # is merely as dark as a mistake makes it is not explained by that.
@@ -31,6 +32,9 @@ ENOUGH, ENOUGH_PAIR, ENOUGH_ACNE = 0.6, 0.75, 0.8
 
 # A single mistake that explains this much is not asked for a second.
 NEARLY_ALL = 0.97
+
+# In pairs, of a mistake that has more forms than this, those that explain most alone are tried.
+MOST_FORMS = 8
 
 # Two mistakes whose parts differ by less are not told apart.
 SAME = 0.01
@@ -163,12 +167,16 @@ class Diagnostician:
     def _best_pair(self, judge: "_Judge", picture: Picture, allowed) -> Explanation | None:
         """Searched among all on few pixels, decided among the best of them on more."""
         quick = _Judge(self.views[1], picture.values, allowed, self.right)
+        forms = {
+            mistake.name: heapq.nlargest(MOST_FORMS, mistake.changes, key=lambda change: quick.explained((change,)))
+            for mistake in self.usual
+        }
         found = []
         for one, other in combinations(self.usual, 2):
-            for a in one.changes:
+            for a in forms[one.name]:
                 found += [
                     (quick.explained((a, b)), len(found) + i, (one, other), (a, b))
-                    for i, b in enumerate(other.changes) if a.goes_with(b)
+                    for i, b in enumerate(forms[other.name]) if a.goes_with(b)
                 ]  # fmt: skip
         found.sort(key=lambda pair: (-pair[0], pair[1]))
         pairs = [Explanation(both, changes, judge.explained(changes)) for _, _, both, changes in found[:10]]

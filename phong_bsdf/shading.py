@@ -53,19 +53,19 @@ class Recipe:
 RIGHT = Recipe()
 
 
-def shade(hits: Hits, recipe: Recipe, most_hits: int, shadows: bool = True, materials=()) -> np.ndarray:
+def shade(hits: Hits, recipe: Recipe, most_hits: int, materials, shadows: bool = True) -> np.ndarray:
     """The linear colours of all camera rays, (count, 3)."""
     image = np.zeros((hits.count, 3))
-    for ray, _, colour in terms(hits, recipe, most_hits, shadows, materials):
+    for ray, _, colour in terms(hits, recipe, most_hits, materials, shadows):
         image[ray] += colour
     return image
 
 
-def terms(hits: Hits, recipe: Recipe, most_hits: int, shadows: bool = True, materials=()) -> Iterator[tuple]:
+def terms(hits: Hits, recipe: Recipe, most_hits: int, materials, shadows: bool = True) -> Iterator[tuple]:
     """What adds up to the picture: (camera rays, number of the light or -1, colours); one for each bounce and light.
 
-    `most_hits` surfaces of a path are shaded; `shadows`: whether the scene asks for shadows; `materials` as the
-    stage has them, for swaps.
+    `most_hits` surfaces of a path are shaded; `materials` are those of the stage; `shadows`: whether the scene asks
+    for them.
     """
     last = (most_hits if recipe.bounces is None else recipe.bounces + 1) - 1
     weight = np.ones((hits.count, 3))
@@ -139,11 +139,11 @@ def _reflected(recipe: Recipe, bounce: Bounce, light: Light, v, materials, shado
 
 def _lobe_cosine(recipe: Recipe, bounce: Bounce, materials, n, l, v) -> np.ndarray:  # noqa: E741
     """What is raised to the exponent: r.v of Phong, n.h of Blinn-Phong."""
-    if recipe.lobe is None and materials:
-        phong = np.array([material.lobe == "phong" for material in materials])[bounce.material]
-    else:
-        phong = np.full(len(bounce.ray), recipe.lobe == "phong")
+    lobes = [recipe.lobe or material.lobe for material in materials]
+    phong = np.array([lobe == "phong" for lobe in lobes])[bounce.material]
     r = 2 * _dot(n, l)[:, None] * n - l
+    if phong.all():
+        return _dot(r, v)
     h = v + l
     length = np.linalg.norm(h, axis=-1, keepdims=True)
     h = h / (np.where(length > 0, length, 1) if recipe.half == "unit" else 2 if recipe.half == "halved" else 1)
@@ -152,8 +152,10 @@ def _lobe_cosine(recipe: Recipe, bounce: Bounce, materials, n, l, v) -> np.ndarr
 
 def _swapped(recipe: Recipe, bounce: Bounce, materials):
     """Scale and exponent of the highlight."""
+    if recipe.swapped is None:
+        return bounce.specular, bounce.exponent
     values = {"specular": bounce.specular, "exponent": bounce.exponent[:, None]}
-    names, *pair = recipe.swapped or ((), (), ())
+    names, *pair = recipe.swapped
     for mine, others in (pair, pair[::-1]):
         here = np.isin(bounce.material, mine)[:, None]
         for name in names:

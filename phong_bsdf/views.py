@@ -79,7 +79,7 @@ class View:
         return best, distance
 
     def _options(self):
-        return self.stage.most_hits, self.stage.integrator.shadows, self.stage.materials
+        return self.stage.most_hits, self.stage.materials, self.stage.integrator.shadows
 
     def _mean(self, samples: np.ndarray) -> np.ndarray:
         return samples.reshape(len(self.pixels), -1, 3).mean(axis=1)
