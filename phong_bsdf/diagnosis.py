@@ -122,10 +122,11 @@ class Diagnostician:
             return Diagnosis(None, ())
         singles = self._singles(judge)
         best = singles[0] if singles else None
-        if best and best.explained < NEARLY_ALL:
+        explained = best.explained if best else 0.0
+        if explained < NEARLY_ALL:
             pair = self._best_pair(judge, picture, allowed)
             # The second has to explain most of what the first leaves.
-            if pair and pair.explained >= _enough(pair) and 1 - pair.explained <= 0.5 * (1 - best.explained):
+            if pair and pair.explained >= _enough(pair) and 1 - pair.explained <= 0.5 * (1 - explained):
                 best, singles = pair, [pair, *singles]
         named = best if best and best.explained >= _enough(best) and judge.shows(best.changes) else None
         return Diagnosis(named, tuple(singles))

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import metrics, pictures, rendering
-from .diagnosis import Diagnosis, Diagnostician, Explanation
+from .diagnosis import Diagnostician, Explanation
 from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError
 from .verdict import compare
@@ -65,6 +65,8 @@ class Grade:
     """The mistake to tell; None: it is right, or none of the usual ones explains it."""
     candidates: tuple[Mistake, ...]
     """All explanations, the best first, told or not."""
+    diagnosed: bool
+    """Whether mistakes were looked for; the notes say why not."""
     notes: tuple[str, ...]
 
 
@@ -116,7 +118,7 @@ class Assignment:
             picture = pictures.read(file, linear=self.options.linear, size=self.size)
         except (PictureError, OSError, MemoryError) as error:
             words = f"{str(error) or 'the picture does not fit into memory'}."
-            return Checked(Grade(name, UNREADABLE, 0.0, words, None, None, (), ()))
+            return Checked(Grade(name, UNREADABLE, 0.0, words, None, None, (), False, ()))
         return self.check_picture(name, picture)
 
     def check_picture(self, name: str, picture: Picture) -> Checked:
@@ -133,18 +135,21 @@ class Assignment:
             picture.values * unit, expected * unit, absolute=allowed * unit, relative=relative,
             edges=self.options.edges,
         )  # fmt: skip
-        notes, diagnosis = list(picture.notes), Diagnosis(None, ())
-        if not verdict.passed and self.options.diagnose and np.isfinite(picture.values).all():
+        notes, diagnosis = list(picture.notes), None
+        if not verdict.passed and self.options.diagnose:
             try:
+                if not np.isfinite(picture.values).all():
+                    raise Undiagnosable("pixels that are not finite come first")
                 diagnostician = self._diagnostician(encoding)
                 diagnosis = diagnostician.explain(picture, allowed + relative * np.abs(expected))
             except Undiagnosable as error:
                 notes.append(f"not diagnosed: {error}")
-        candidates = diagnosis.ranked[:MOST_EXPLANATIONS]
+        named = diagnosis.named if diagnosis else None
+        candidates = diagnosis.ranked[:MOST_EXPLANATIONS] if diagnosis else ()
         grade = Grade(
             name, RIGHT if verdict.passed else WRONG,
             1.0 if verdict.passed else _score(expected, allowed, verdict.wrong), verdict.words, verdict.share,
-            diagnosis.named and _told(diagnosis.named), tuple(map(_told, candidates)), tuple(notes),
+            named and _told(named), tuple(map(_told, candidates)), diagnosis is not None, tuple(notes),
         )  # fmt: skip
         return Checked(grade, picture, expected, verdict.excess, candidates)
 

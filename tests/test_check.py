@@ -57,7 +57,9 @@ def test_a_wrong_picture(folder):
     assert re.search(r"^bert.png: wrong, score 0\.\d\d\n  \d+ of 2640 pixels are off \(", result.stdout)
     assert "Almost surely: the light falls off with 1/r² (confidence 100 %).\n    Use the intensity" in result.stdout
     plain = check("bert.png", "scene.xml", "--linear", "--no-diagnosis")
-    assert plain.exit_code == 1 and "1/r²" not in plain.stdout
+    assert plain.exit_code == 1 and "1/r²" not in plain.stdout and "usual mistakes" not in plain.stdout
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)).save("noise.png")
+    assert "None of the usual mistakes explains the picture." in check("noise.png", "scene.xml").stdout
 
 
 def test_what_render_writes_is_right(folder):
@@ -80,6 +82,7 @@ def test_an_exr_with_a_mistake_and_one_with_a_hole(folder):
     images.write(folder / "a.exr", image)
     result = check("a.exr", "scene.xml", "--html", "out")
     assert result.exit_code == 1 and "1 pixel of the picture is not finite, first at row 3, column 4" in result.stdout
+    assert "Note: not diagnosed: pixels that are not finite come first." in result.stdout
     assert "not finite" in (folder / "out/a.html").read_text()
 
 

@@ -33,7 +33,7 @@ def text(grade: Grade) -> str:
         lines.append(f"  {certainty(grade.mistake)}: {grade.mistake.title} (confidence {confidence}).")
         lines.append(f"    {grade.mistake.advice}")
         lines += [f"    In this scene it looks the same where {other}." for other in grade.mistake.same]
-    elif grade.candidates or (grade.status not in (RIGHT, UNREADABLE) and not grade.notes):
+    elif grade.diagnosed:
         lines.append(f"  {NONE_OF_THESE}")
     if grade.mistake and grade.mistake.confidence < ALMOST_SURE:
         others = [m for m in grade.candidates if m != grade.mistake and m.explained >= WORTH_TELLING]
@@ -166,4 +166,4 @@ def _short(grade: Grade) -> str:
         return grade.words.split(": ", 1)[-1].rstrip(".")
     if grade.mistake:
         return f"{grade.mistake.title} ({percent(grade.mistake.confidence)})"
-    return "not diagnosed" if grade.notes and not grade.candidates else "none of the usual"
+    return "none of the usual" if grade.diagnosed else "not diagnosed"
