@@ -122,7 +122,7 @@ def png(image: np.ndarray, *, linear: bool = False) -> bytes:
     bytes_ = np.empty(image.shape, np.uint8)
     # Row by row: temporary arrays of a large picture would be several times its size.
     for row, values in zip(bytes_, image, strict=True):
-        row[:] = to_8bit(values if linear else _srgb(values))
+        row[:] = to_8bit(values if linear else _srgb_colors(values))
     if image.shape[2] == 2:
         bytes_ = np.ascontiguousarray(bytes_[:, :, [0, 0, 0, 1]])
     stream = MemoryStream()
@@ -135,11 +135,15 @@ def _write_png(path: str, image: np.ndarray, linear: bool) -> None:
     Path(path).write_bytes(png(image, linear=linear))
 
 
-def _srgb(image: np.ndarray) -> np.ndarray:
+def srgb(colors: np.ndarray) -> np.ndarray:
+    """The sRGB encoding of linear values, clamped to [0, 1]; NaN becomes 0."""
+    colors = np.clip(np.nan_to_num(colors, nan=0.0), 0, 1)
+    return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
+
+
+def _srgb_colors(image: np.ndarray) -> np.ndarray:
     alpha = 3 if image.shape[-1] > 2 else 1
-    color = np.clip(np.nan_to_num(image[..., :alpha], nan=0.0), 0, 1)
-    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    return np.concatenate([encoded, image[..., alpha:]], axis=-1)
+    return np.concatenate([srgb(image[..., :alpha]), image[..., alpha:]], axis=-1)
 
 
 @contextlib.contextmanager

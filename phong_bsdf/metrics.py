@@ -35,9 +35,7 @@ class Errors:
 
 def errors(image: np.ndarray, reference: np.ndarray) -> Errors:
     """How far `image` is from `reference`; ValueError where their shapes differ."""
-    x, r = (np.asarray(a) for a in (image, reference))
-    if x.ndim != 3 or x.shape != r.shape:
-        raise ValueError(f"images of different shapes cannot be compared: {_shape(x)} and {_shape(r)}")
+    x, r = check_shapes(image, reference)
     if nonfinite(x) or nonfinite(r):
         return Errors(math.nan, math.nan, math.nan, math.nan if has_flip() else None)
     x, r = (colors(a).astype(np.float64) for a in (x, r))
@@ -48,6 +46,14 @@ def errors(image: np.ndarray, reference: np.ndarray) -> Errors:
         max_error=float(np.sqrt(square.max())),
         flip=flip(x, r) if has_flip() else None,
     )
+
+
+def check_shapes(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both as arrays; ValueError, which names both shapes, where they differ."""
+    x, r = (np.asarray(a) for a in (image, reference))
+    if x.ndim != 3 or x.shape != r.shape:
+        raise ValueError(f"images of different shapes cannot be compared: {_shape(x)} and {_shape(r)}")
+    return x, r
 
 
 def nonfinite(image: np.ndarray) -> int:

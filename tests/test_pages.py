@@ -83,7 +83,7 @@ def picture(page):
 
 
 def eight_bits(image):
-    return images.to_8bit(images._srgb(image))
+    return images.to_8bit(images.srgb(image))
 
 
 def close(shown, wanted):

@@ -3,6 +3,7 @@
 import click
 
 from .. import __version__
+from .check import check
 from .compare import compare
 from .converge import converge
 from .convert import convert
@@ -18,5 +19,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, convert, compare, converge, explain, stability, doctor):
+for command in (render, check, convert, compare, converge, explain, stability, doctor):
     main.add_command(command)

@@ -13,9 +13,6 @@ from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
 from .comparison_plots import colours, plots
 
-# Beside the first, brighter ones take the largest colour: single bright pixels would leave a map dark.
-MAP_PERCENTILE = 99.0
-
 
 @dataclass(frozen=True)
 class Point:
@@ -92,7 +89,7 @@ def _points(comparison: Comparison) -> Iterator[Point]:
 
 def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> None:
     differences = _differences(comparison)
-    scale = _map_scale(differences)
+    scale = page.difference_scale(differences.values())
     first = comparison.rows[0]
     page.write(
         path,
@@ -123,12 +120,6 @@ def _differences(comparison: Comparison) -> dict[str, np.ndarray]:
     # Infinity minus infinity is no number, and is shown as such.
     with np.errstate(invalid="ignore", over="ignore"):
         return {name: image - comparison.images[ORIGINAL] for name, image in others.items()}
-
-
-def _map_scale(differences: dict[str, np.ndarray]) -> float:
-    """The difference that the brightest colour of every map stands for."""
-    finite = [m[np.isfinite(m)] for m in (np.abs(d).mean(axis=-1) for d in differences.values())]
-    return max((float(np.percentile(m, MAP_PERCENTILE)) for m in finite if m.size), default=0.0) or 1.0
 
 
 def _by_surface(comparison: Comparison) -> dict[str, list]:

@@ -8,7 +8,7 @@ import importlib
 import io
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,9 @@ INK = "#010203"
 
 # Half floats end at 65504.
 LARGEST_HALF = 6e4
+
+# Beside the first, brighter ones take the largest colour: single bright pixels would leave a map dark.
+MAP_PERCENTILE = 99.0
 
 
 def check_installed(*more: str) -> None:
@@ -84,6 +87,12 @@ def false_colours(difference: np.ndarray, scale: float) -> np.ndarray:
     """The mean over the colours of |difference| as a picture for `png(..., linear=True)`."""
     share = np.abs(difference).mean(axis=-1) / scale if scale > 0 else np.zeros(difference.shape[:2])
     return colour_map()[np.rint(255 * np.clip(np.nan_to_num(share, nan=1.0), 0, 1)).astype(int)] / 255.0
+
+
+def difference_scale(differences: Iterable[np.ndarray]) -> float:
+    """The difference that the brightest colour of every map stands for: few pixels are beyond it."""
+    finite = [m[np.isfinite(m)] for m in (np.abs(d).mean(axis=-1) for d in differences)]
+    return max((float(np.percentile(m, MAP_PERCENTILE)) for m in finite if m.size), default=0.0) or 1.0
 
 
 def picture(image: np.ndarray, *, linear: bool = False) -> str:

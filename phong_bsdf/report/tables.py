@@ -46,8 +46,12 @@ def write_csv(path: Path, rows: Sequence) -> None:
 
 def write_json(path: Path, rows: Sequence, **more) -> None:
     """The records under `rows`, the machine under `context`; infinities as strings, which JSON lacks."""
-    document = {"context": context(), **more, "rows": list(rows)}
-    replace_file(path, json.dumps(_plain(document), indent=1, allow_nan=False) + "\n")
+    replace_file(path, json_text({"context": context(), **more, "rows": list(rows)}))
+
+
+def json_text(document) -> str:
+    """Records, and whatever they are in, as JSON."""
+    return json.dumps(_plain(document), indent=1, allow_nan=False) + "\n"
 
 
 def number(x: float | None) -> str:

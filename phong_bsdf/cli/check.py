@@ -1,0 +1,104 @@
+"""`phong-bsdf check`."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from .options import scene_options
+from .session import errors, progress, start
+
+# `grading` says what they mean; that module is imported late, since it needs a variant.
+TOLERANCE, EDGES = 1.0, 0.2
+
+# From so many pictures on, there is a table instead of sentences.
+FEW = 3
+
+
+@click.command()
+@click.argument("pictures", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--linear", is_flag=True, help="PNG and JPEG hold 255 times the value, without the sRGB curve.")
+@click.option("--tolerance", type=click.FloatRange(0, 255), default=TOLERANCE, show_default=True,
+              help="How far a value may be off, in steps of 8 bits, beyond rounding.")  # fmt: skip
+@click.option("--edges", type=click.FloatRange(0, 100), default=EDGES, show_default=True,
+              help="Percentage of the pixels that may be off at edges.")  # fmt: skip
+@click.option("--diagnosis/--no-diagnosis", "diagnose", default=True, help="Look for the mistake. Default: yes.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
+@click.option("--gradescope", type=click.Path(path_type=Path), metavar="RESULTS.json",
+              help="Also write the results as a Gradescope autograder does.")  # fmt: skip
+@click.option("--points", type=click.FloatRange(0, min_open=True), default=100.0, show_default=True,
+              help="Points for --gradescope.")  # fmt: skip
+@click.option("--html", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Also write pages into DIR.")
+@scene_options
+def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradescope, points, folder,
+          variant, defines, spp, size, camera, seed, threads, verbose):  # fmt: skip
+    """Check PICTURES that should show SCENE, and say what is wrong with them.
+
+    PICTURES are files (PNG, JPEG, EXR, PPM, BMP, NumPy arrays) or folders of them. Exit 1: some are wrong.
+    Exit 2: none could be read.
+    """
+    with errors():
+        from .. import images
+        from ..pictures import SUFFIXES
+        from ..report import page
+
+        files = find(pictures, SUFFIXES)
+        if folder:
+            images.check_folder(folder)
+            page.check_installed()
+        if gradescope:
+            if gradescope.is_dir():
+                raise ValueError(f"'{gradescope}' is a folder; --gradescope needs a file")
+            images.check_folder(gradescope.parent)
+        start(variant, threads, verbose)
+        from .. import grading
+        from ..report import check as report
+
+        options = grading.Options(linear, tolerance, edges / 100, diagnose)
+        with progress() as show:
+            show("rendering", 0)
+            assignment = grading.Assignment(
+                scene, dict(defines), camera=camera, spp=spp or 0, size=size, seed=seed, options=options
+            )
+            grades, names, labels = [], report.page_names(files), report.labels(files)
+            if folder:
+                folder.mkdir(parents=True, exist_ok=True)
+            for i, file in enumerate(files):
+                show(f"checking {labels[i]}", i / len(files))
+                checked = assignment.check(file, labels[i])
+                grades.append(checked.grade)
+                if folder:
+                    report.write_page(folder, assignment, checked, names[i])
+        if folder:
+            report.write_index(folder, assignment, grades, names)
+        if gradescope:
+            gradescope.parent.mkdir(parents=True, exist_ok=True)
+            report.write_gradescope(gradescope, grades, points)
+    code = exit_code([grade.status for grade in grades])
+    if as_json:
+        said = report.json_text(assignment, grades)
+    else:
+        said = "".join(report.text(grade) + "\n" for grade in grades) if len(grades) < FEW else report.table(grades)
+    click.echo(said, nl=False, err=code == 2 and not as_json)
+    sys.exit(code)
+
+
+def find(paths, suffixes) -> list[Path]:
+    """The files, and those of the folders."""
+    found = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
+        if not inside:
+            raise ValueError(f"'{path}': there is no picture in this folder ({', '.join(suffixes)})")
+        found += inside
+    return found
+
+
+def exit_code(statuses: list[str]) -> int:
+    if all(status == "unreadable" for status in statuses):
+        return 2
+    return int(any(status != "right" for status in statuses))

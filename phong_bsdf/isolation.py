@@ -1,0 +1,43 @@
+"""Runs something in a variant of Mitsuba, and leaves variant and Dr.Jit afterwards as they were."""
+
+import contextlib
+import gc
+from collections.abc import Iterator
+
+import drjit as dr
+import mitsuba as mi
+
+
+@contextlib.contextmanager
+def isolated(variant: str) -> Iterator[None]:
+    """Inside, `variant` is set; ValueError where this Mitsuba does not have it.
+
+    Afterwards variant, log level, threads and Dr.Jit's flags are restored, and what nobody holds any longer
+    is freed: a BSDF that lives on would be compiled into every later kernel.
+    """
+    if variant not in mi.variants():
+        raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
+    before, threads, resolver = mi.variant(), dr.thread_count(), mi.file_resolver()
+    flags = {flag: dr.flag(flag) for flag in _single_flags()}
+    mi.set_variant(variant)
+    level = mi.logger().log_level()
+    mi.set_log_level(mi.LogLevel.Warn)
+    try:
+        yield
+    finally:
+        dr.sync_thread()
+        gc.collect()
+        dr.kernel_history_clear()
+        for flag, value in flags.items():
+            if dr.flag(flag) != value:
+                dr.set_flag(flag, value)
+        if dr.thread_count() != threads:
+            dr.set_thread_count(threads)
+        mi.set_log_level(level)
+        mi.set_file_resolver(resolver)
+        if before is not None:
+            mi.set_variant(before)
+
+
+def _single_flags() -> list:
+    return [flag for flag in dr.JitFlag if int(flag.value).bit_count() == 1]

@@ -1,0 +1,207 @@
+"""Render checks for pytest: the plugin that pytest finds where phong_bsdf is installed.
+
+Every pytest session loads it, so it imports neither Mitsuba nor the package until a test asks for one of its
+fixtures; it only chooses the LLVM, which must happen before anything imports Dr.Jit.
+"""
+
+import importlib.util
+import json
+import re
+import shlex
+import warnings
+from pathlib import Path
+
+import pytest
+
+
+def _choose_llvm() -> None:
+    """What `import phong_bsdf` does first, without the rest of it."""
+    package = importlib.util.find_spec("phong_bsdf")
+    if package is None or not package.origin:
+        return
+    spec = importlib.util.spec_from_file_location("_phong_bsdf_llvm", Path(package.origin).with_name("llvm.py"))
+    llvm = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(llvm)
+    with warnings.catch_warnings():
+        # That there is none is said when it is needed.
+        warnings.simplefilter("ignore")
+        llvm.prepare()
+
+
+_choose_llvm()
+
+MARKERS = (
+    "phong_variants(*names): run the test in each of these variants of Mitsuba",
+    "render_check(**options): defaults for the options of the fixture render_check",
+)
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("phong_bsdf", "render checks (phong_bsdf)")
+    group.addoption("--phong-update-references", action="store_true", help="Write what is rendered as the references.")
+    group.addoption("--phong-report", metavar="DIR", type=Path, help="Write an HTML page for each failure.")
+    group.addoption("--phong-variant", action="append", default=[], metavar="NAME",
+                    help="Mitsuba variant of tests that do not choose theirs; may be given several times.")  # fmt: skip
+    parser.addini("phong_variants", "Mitsuba variants of render checks", type="args", default=["llvm_ad_rgb"])
+    parser.addini("phong_references", "Folder of references, beside each test file", default="references")
+
+
+def pytest_configure(config):
+    for marker in MARKERS:
+        config.addinivalue_line("markers", marker)
+    folder = config.getoption("--phong-report")
+    if folder is not None:
+        from phong_bsdf import images
+        from phong_bsdf.report import page
+
+        try:
+            page.check_installed()
+            images.check_folder(folder)
+        except (ImportError, ValueError) as error:
+            raise pytest.UsageError(f"--phong-report: {error}") from None
+        if not hasattr(config, "workerinput"):
+            config.pluginmanager.register(_Report(folder.absolute()), "phong_bsdf_report")
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Written(), "phong_bsdf_written")
+
+
+def pytest_generate_tests(metafunc):
+    if "phong_variant" not in metafunc.fixturenames:
+        return
+    marker = metafunc.definition.get_closest_marker("phong_variants")
+    names = list(marker.args) if marker else _default_variants(metafunc.config)
+    # A single default leaves the name of the test as it is.
+    if marker or len(names) > 1:
+        metafunc.parametrize("phong_variant", names, indirect=True)
+
+
+@pytest.fixture
+def phong_variant(request):
+    """A variant of Mitsuba, set for this test; afterwards Dr.Jit and Mitsuba are as they were."""
+    from phong_bsdf.isolation import isolated
+
+    variant = getattr(request, "param", None) or _default_variants(request.config)[0]
+    try:
+        context = isolated(variant)
+        context.__enter__()
+    except (ValueError, ImportError) as error:
+        pytest.fail(str(error), pytrace=False)
+    yield variant
+    context.__exit__(None, None, None)
+
+
+@pytest.fixture
+def render_check(request, phong_variant):
+    """Fails unless a scene looks like its reference: `render_check("scene.xml", absolute=1e-3)`."""
+    return RenderCheck(request, phong_variant)
+
+
+class RenderCheck:
+    """What the fixture `render_check` is; docs/test-authors.md has its options."""
+
+    def __init__(self, request, variant: str):
+        self.node, self.config, self.variant = request.node, request.config, variant
+        marker = request.node.get_closest_marker("render_check")
+        self.defaults = dict(marker.kwargs) if marker else {}
+        self.names: list[str] = []
+
+    def __call__(self, scene, name: str | None = None, **options):
+        """Render (or take the array `scene`), and compare with the reference `name`."""
+        from phong_bsdf import references
+
+        try:
+            chosen = references.Options(**{**self.defaults, **options})
+        except TypeError as error:
+            raise TypeError(f"render_check: {error}") from None
+        path = self.reference(name)
+        if self.config.getoption("--phong-update-references"):
+            references.update(path, scene, chosen)
+            self.node.user_properties.append(("phong_reference", str(references.files(path)[0])))
+            return
+        outcome, refusal = None, ""
+        try:
+            outcome = references.check(path, scene, chosen)
+        except references.NoReference as error:
+            refusal = f"{error}. Make it with: {self.command()}"
+        except ValueError as error:
+            refusal = f"{error}. If the new picture is right, run: {self.command()}"
+        if outcome is None:
+            # Not in the `except`, where pytest would show both.
+            self.fail(path, refusal, None)
+        elif not outcome.verdict.passed:
+            accept = f"If the new picture is right, run: {self.command()}"
+            self.fail(path, f"{outcome.verdict.words}\nReference: {references.files(path)[0]}\n{accept}", outcome)
+
+    def reference(self, name: str | None) -> Path:
+        """Where the reference is, without suffix: beside the test file, the same for all variants."""
+        if name is None:
+            name = self.node.originalname
+            values = getattr(self.node, "callspec", None)
+            identity = values.id.split("-") if values else []
+            identity = [part for part in identity if part != self.variant]
+            name = "-".join([name, *identity])
+            name += f"-{self.names.count(name) + 1}" * (name in self.names)
+        self.names.append(name)
+        folder = self.node.path.parent / self.config.getini("phong_references") / self.node.path.stem
+        return folder / re.sub(r"[^\w.-]+", "_", name)
+
+    def command(self) -> str:
+        return f"pytest --phong-update-references {shlex.quote(self.node.nodeid)}"
+
+    def fail(self, path: Path, words: str, outcome) -> None:
+        folder, page = self.config.getoption("--phong-report"), ""
+        if folder is not None and outcome is not None:
+            from phong_bsdf.report import render_check
+
+            page = re.sub(r"[^\w.-]+", "_", f"{path.parent.name}-{path.name}-{self.variant}.html")
+            folder.mkdir(parents=True, exist_ok=True)
+            render_check.write(folder / page, self.node.nodeid, path.name, outcome)
+            words += f"\nPage: {folder / page}"
+        failure = {"test": self.node.nodeid, "words": words.split("\n")[0], "page": page}
+        self.node.user_properties.append(("phong_failure", json.dumps(failure)))
+        pytest.fail(f"{path.name}: {words}", pytrace=False)
+
+
+class _Report:
+    """Lists the failures of all workers on one page."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.failures, self.tests = folder, [], 0
+
+    def pytest_runtest_logreport(self, report):
+        if report.when != "call":
+            return
+        self.tests += 1
+        for name, value in report.user_properties:
+            if name == "phong_failure":
+                self.failures.append(tuple(json.loads(value).values()))
+
+    def pytest_sessionfinish(self):
+        from phong_bsdf.report import render_check
+
+        self.folder.mkdir(parents=True, exist_ok=True)
+        render_check.write_index(self.folder / "index.html", sorted(self.failures), self.tests)
+
+    def pytest_terminal_summary(self, terminalreporter):
+        terminalreporter.write_line(f"Render checks: {self.folder / 'index.html'}")
+
+
+class _Written:
+    """Says which references were written."""
+
+    def __init__(self):
+        self.paths = []
+
+    def pytest_runtest_logreport(self, report):
+        if report.when == "call":
+            self.paths += [value for name, value in report.user_properties if name == "phong_reference"]
+
+    def pytest_terminal_summary(self, terminalreporter):
+        if self.paths:
+            terminalreporter.section("references written")
+            for path in sorted(self.paths):
+                terminalreporter.write_line(path)
+
+
+def _default_variants(config) -> list[str]:
+    return config.getoption("--phong-variant") or config.getini("phong_variants")
