@@ -25,7 +25,8 @@ LARGE = 50
 class Surfaces:
     """The sizes of the shapes of `scene`, and hits and ray origins that respect them."""
 
-    def __init__(self, scene, seen):
+    def __init__(self, scene, seen=None):
+        seen = seen or Seen()
         shapes = scene.shapes()
         kinds = [shape.class_name() for shape in shapes]
         boxes = seen.boxes(shapes)
