@@ -105,11 +105,11 @@ class Stage:
         radius = self._radius(si)
         # A surface with two sides turns its normal to the viewer.
         facing = mi.Vector3f(si.sh_frame.n) * dr.select(mi.Bool(flips) & (si.wi.z < 0), -1, 1)
-        lights = (self._light(i, si, tolerance, valid, hit) for i in range(self._light_count()))
+        lights = tuple(self._light(i, si, tolerance, valid, hit) for i in range(self.lights.count))
         bounce = Bounce(
             ray=index[hit], normal=_unit(_array(facing, n)[hit]), normal_length=_array(radius, n)[hit, 0],
             view=_unit(_array(-ray.d, n)[hit]), distance=_array(dr.norm(si.p - eye), n)[hit, 0],
-            lights=tuple(light for light in lights if light is not None),
+            lights=lights,
             **{name: column[hit] for name, column in columns.items()},
         )  # fmt: skip
         onward = np.flatnonzero(hit)[mirroring(bounce)]
@@ -154,14 +154,7 @@ class Stage:
         columns["material"], columns["cosine"] = columns["material"].astype(int), columns["cosine"] > 0
         return columns, flips
 
-    def _light_count(self) -> int:
-        if self.lights.count == 0:
-            return 0
-        return self.lights.count if self.lights.few else len(self.scene.emitters())
-
-    def _light(self, i, si, tolerance, valid, hit) -> Light | None:
-        if not self.lights.few and i == self.lights.skip:
-            return None
+    def _light(self, i, si, tolerance, valid, hit) -> Light:
         n = len(hit)
         direction, distance, intensity, has = self.lights.sample(i if self.lights.few else mi.UInt32(i), si, valid)
         shadow = self.surfaces.shadow_ray(si, direction, distance, tolerance)
