@@ -106,6 +106,8 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
     channels = (
         {names: np.ascontiguousarray(image)} if together else {n: image[:, :, i].copy() for i, n in enumerate(names)}
     )
+    # Compressing takes longer than rendering; the library's default is one thread.
+    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)

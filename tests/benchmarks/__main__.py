@@ -72,6 +72,8 @@ def document(folder: Path, docs: Path) -> None:
     found = read(folder)
     blocks = {name: f"{tables.where(rows)}\n\n{tables.text(name, rows)}" for name, rows in found.items()}
     blocks["targets"] = targets.table(targets.outcomes([row for rows in found.values() for row in rows]))
+    if (folder / "explain.txt").is_file():
+        blocks["explain"] = (folder / "explain.txt").read_text()
     page = (docs / "speed.md").read_text()
     for name, text in blocks.items():
         before, start, rest = page.partition(f"<!-- {name} -->\n")
