@@ -164,7 +164,8 @@ def test_killed_run_goes_on(scene):
     undisturbed = converge(*arguments[1:])
     for a, b in zip(resumed["rows"], undisturbed["rows"], strict=True):
         assert (a["method"], a["spp"], a["seed"]) == (b["method"], b["spp"], b["seed"])
-        assert a["relmse"] == pytest.approx(b["relmse"], rel=1e-9)
+        # Threads add up the samples of a pixel in any order.
+        assert a["relmse"] == pytest.approx(b["relmse"], rel=1e-6)
 
 
 @pytest.mark.slow

@@ -122,7 +122,8 @@ def test_tables_of_equal_time_and_error(page, found):
                 )
         # Of `roughplastic` there is nothing to be best of: its reference is its own.
         rivals = {name: table["rows"][name] for name in METHODS[:3]}
-        assert table["columns"]
+        # Times of a busy machine may have none in common.
+        assert table["columns"] or field == "equal_time"
         for i in range(len(table["columns"])):
             values = {name: row[i]["estimate"]["value"] for name, row in rivals.items() if row[i]}
             bold = rows.filter(has=page.locator(f":nth-child({i + 3}).best")).locator("th").all_inner_texts()
@@ -213,7 +214,7 @@ def test_viewer_compares_each_picture_with_its_own_reference(page, folder):
         page.keyboard.press(str(key))
         shown[names[key - 1]] = canvas(page)
         wanted = images.read_exr(folder / "pictures" / f"{names[key - 1].replace(' ', '-')}.exr")
-        assert np.abs(shown[names[key - 1]].astype(int) - images.to_8bit(images._srgb(wanted))).max() <= 1
+        assert np.abs(shown[names[key - 1]].astype(int) - images.to_8bit(images._srgb_colors(wanted))).max() <= 1
     page.keyboard.press("w")
     page.locator('[data-control="wipe"]').fill("50")
     half = canvas(page)
