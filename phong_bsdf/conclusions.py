@@ -178,10 +178,14 @@ def _flips(store: Store, method: MethodRun, reference: study.Reference, pairs) -
 
 
 def _at_equal_time(results: list[study.Result]) -> tuple[float | None, tuple[Shown, ...]]:
-    """A picture of each method after about the longest time that all of them were given."""
+    """A picture of each method after about the longest time that all of them were given.
+
+    Where the longest of one is shorter than the shortest of another, that shortest: each method at its best till then.
+    """
     if not results:
         return None, ()
-    time = min(max(level.seconds.median for level in result.levels) for result in results)
+    times = [[level.seconds.median for level in result.levels] for result in results]
+    time = max(min(map(max, times)), max(map(min, times)))
     shown = []
     for result in results:
         level = min(result.levels, key=lambda level: abs(math.log(level.seconds.median / time)))

@@ -429,6 +429,23 @@ def test_other_variants(scene, variant):
     assert images.read_exr(Path("out/pictures/path.exr")).shape == (8, 10, channels)
 
 
+@pytest.mark.parametrize(
+    ("slow", "time", "chosen"), (((2.0, 8.0), 4.0, (64, 1)), ((16.0, 64.0), 16.0, (64, 1)), ((1.5, 3.0), 3.0, (64, 64)))
+)
+def test_pictures_at_equal_time(slow, time, chosen):
+    """The longest time that all were given; where there is none, the shortest of the slowest."""
+
+    def result(name, times):
+        spread = [study.Spread(t, t, t) for t in times]
+        nothing = [None] * 6
+        levels = tuple(study.Level(n, 1, s, 0.0, *nothing, 0) for n, s in zip((1, 64), spread, strict=True))
+        passes = tuple(study.PassErrors(n, 0, None, None, None, None, 0) for n in (1, 64))
+        return study.Result(name, "r", None, levels, passes, None, None, None, None, "unknown")
+
+    found, shown = conclusions._at_equal_time([result("fast", (1.0, 4.0)), result("slow", slow)])
+    assert found == time and tuple(s.spp for s in shown) == chosen
+
+
 def test_conclusions_of_nothing(scene):
     """A folder in which nothing has been rendered yet has a page that says so."""
     store = Store(Path("out"))

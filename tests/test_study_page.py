@@ -227,6 +227,15 @@ def test_viewer_compares_each_picture_with_its_own_reference(page, folder):
     assert np.abs(half[:, :12].astype(int) - shown["reference path"][:, :12]).max() > 5
 
 
+def test_names_stay_beside_their_numbers(page):
+    """On a phone: however far a table is scrolled."""
+    page.set_viewport_size({"width": 390, "height": 800})
+    name, last = (page.locator(f"#levels tbody tr:first-child > :{which}-child") for which in ("first", "last"))
+    last.scroll_into_view_if_needed()
+    assert page.locator(".scroll", has=page.locator("#levels")).evaluate("e => e.scrollLeft") > 300
+    assert 0 <= name.bounding_box()["x"] < 40
+
+
 @pytest.mark.parametrize("width", (390, 1000))
 @pytest.mark.parametrize("scheme", ("light", "dark"))
 def test_page_fits_any_screen(page, width, scheme):
