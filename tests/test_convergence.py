@@ -225,6 +225,15 @@ def test_text_longer_than_a_file_name(scene):
         assert convergence.plan(Path("b.xml"), given=[("path", {})]).run.scene_hash
 
 
+def test_integrator_with_more_channels(scene):
+    """Refused in a sentence that names the file once."""
+    integrator = '<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="path"/></integrator>'
+    path = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
+    Path("b.xml").write_text(Path("a.xml").read_text().replace(path, integrator))
+    with pytest.raises(rendering.SceneError, match=r"^b\.xml: the integrator adds channels"):
+        rendering.render(rendering.load(Path("b.xml")), spp=1)
+
+
 @pytest.mark.slow
 def test_time_budget(scene):
     """Out of time it stops with what there is, says what is missing, and the same command goes on."""
