@@ -1,5 +1,6 @@
 """The passes of a folder -> all there is to report: results, tables, rows, and the pictures at equal time."""
 
+import contextlib
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -146,17 +147,13 @@ def _reference(store: Store, reference: ReferenceRun) -> study.Reference | None:
 def _result(store: Store, run: Run, method: MethodRun, reference) -> tuple[study.Result, list[Pass]]:
     made = [p for p in store.list(method.key) if p.spp in method.levels and p.repeat < run.repeats]
     failure = store.failure(method.key)
-    if reference is None and failure is None:
-        failure = "its reference has not been rendered yet"
-    if failure is not None:
-        return study.failed(method.name, method.limit, failure), []
-    if not made:
-        return study.failed(method.name, method.limit, "no pass has been made yet"), []
+    if failure is not None or reference is None or not made:
+        return study.unmeasured(method.name, method.limit, failure), []
     pairs = [(p, store.image(method.key, p)) for p in made]
     if pairs[0][1].shape != reference.mean.shape:
         (height, width), (h, w) = pairs[0][1].shape[:2], reference.mean.shape[:2]
         reason = f"its pictures are {width} x {height}, the reference is {w} x {h}"
-        return study.failed(method.name, method.limit, reason), []
+        return study.unmeasured(method.name, method.limit, reason), []
     return study.analyse(method.name, pairs, reference, _flips(store, method, reference, pairs)), made
 
 
@@ -165,7 +162,10 @@ def _flips(store: Store, method: MethodRun, reference: study.Reference, pairs) -
     if not metrics.has_flip() or reference.nonfinite:
         return {}
     path = store.folder / FLIPS
-    kept = json.loads(path.read_text()) if path.is_file() else {}
+    kept = {}
+    # Broken or not there: all are computed again.
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        kept = json.loads(path.read_text())
     # More passes of a reference are another picture.
     name = f"{method.key} against {reference.name}, {reference.passes}, {float(reference.mean.mean()):.9g}"
     known = kept.setdefault(name, {})
@@ -178,10 +178,14 @@ def _flips(store: Store, method: MethodRun, reference: study.Reference, pairs) -
 
 
 def _at_equal_time(results: list[study.Result]) -> tuple[float | None, tuple[Shown, ...]]:
-    """A picture of each method after about the longest time that all of them were given."""
+    """A picture of each method after about the longest time that all of them were given.
+
+    Where the longest of one is shorter than the shortest of another, that shortest: each method at its best till then.
+    """
     if not results:
         return None, ()
-    time = min(max(level.seconds.median for level in result.levels) for result in results)
+    times = [[level.seconds.median for level in result.levels] for result in results]
+    time = max(min(map(max, times)), max(map(min, times)))
     shown = []
     for result in results:
         level = min(result.levels, key=lambda level: abs(math.log(level.seconds.median / time)))

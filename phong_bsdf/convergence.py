@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -170,8 +171,8 @@ def _scene_hash(scene: methods.Scene) -> str:
     for node in scene.state.nodes:
         for name in node.props.keys():  # noqa: SIM118
             value = node.props[name] if node.props.type(name) == mi.Properties.Type.String else ""
-            file = scene.path.parent / value if value else None
-            if file and file.is_file():
+            # `os.path`: names too long for a file raise in `Path.is_file`.
+            if value and os.path.isfile(file := scene.path.parent / value):
                 files[value] = _file_hash(file)
     text = mi.parser.write_string(scene.state)
     return passes.digest([text, files])
@@ -200,6 +201,8 @@ def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) 
 
 def _check_reference(path: Path, size: tuple[int, int]) -> None:
     """ValueError where the file is no EXR picture of this size."""
+    if not Path(path).is_file():
+        raise ValueError(f"converge: the reference '{path}' cannot be read: there is no such file")
     try:
         height, width = images.read_exr(path).shape[:2]
     except (OSError, RuntimeError, ValueError) as error:
@@ -220,10 +223,12 @@ def read_run(store: Store) -> Run:
     path = store.folder / passes.RUN
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        for name, kind in {"methods": MethodRun, "references": ReferenceRun}.items():
+            items = ({**item, "levels": tuple(item["levels"])} for item in data[name])
+            data[name] = tuple(kind(**item) for item in items)
+        return Run(**{**data, "levels": tuple(data["levels"])})
+    except (FileNotFoundError, NotADirectoryError):
         raise ValueError(f"'{store.folder}': there is no {passes.RUN} here, so no measurement to draw") from None
-    tuples = {"methods": MethodRun, "references": ReferenceRun}
-    for name, kind in tuples.items():
-        items = ({**item, "levels": tuple(item["levels"])} for item in data[name])
-        data[name] = tuple(kind(**item) for item in items)
-    return Run(**{**data, "levels": tuple(data["levels"])})
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"'{path}' is nothing that this version wrote; measure again, with the command that made the "
+                         "folder: its passes are kept") from None  # fmt: skip

@@ -84,6 +84,8 @@ def measure(
     key = "lobes-" + passes.digest([mi.variant(), versions(), machine, cases, seed, EXPONENTS])
     run = LobeRun(key, cases, repeats, seed, mi.variant(), versions(), machine)
     (store.passes / key).mkdir(parents=True, exist_ok=True)
+    # First: a run that is killed can be drawn.
+    images.replace_file(store.folder / passes.LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")
     for repeat in range(repeats):
         path = _path(store, run, repeat)
         if not path.is_file():
@@ -93,7 +95,6 @@ def measure(
                 on_progress=lambda share, r=repeat: on_progress("sweeping", (r + share) / repeats),
             )  # fmt: skip
             images.replace_file(path, json.dumps([dataclasses.asdict(row) for row in rows]) + "\n")
-    images.replace_file(store.folder / passes.LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")
 
 
 def is_measured(store: Store) -> bool:

@@ -69,7 +69,10 @@ class _Session:
             return
         try:
             self._block(reference.key, f"reference {reference.name}", reference.levels, seed_bit=REFERENCE_SEED)
-        except (ValueError, RuntimeError, MemoryError) as error:
+        except OSError:
+            # The disk's fault, not the method's.
+            raise
+        except Exception as error:
             self.failed_references[reference.name] = f"its reference failed: {_reason(error)}"
 
     def make_passes(self, method: MethodRun, repeat: int) -> None:
@@ -77,7 +80,9 @@ class _Session:
         if self.store.failure(method.key) is None:
             try:
                 self._block(method.key, method.name, method.levels, repeat=repeat)
-            except (ValueError, RuntimeError, MemoryError) as error:
+            except OSError:
+                raise
+            except Exception as error:
                 self.store.set_failure(method.key, _reason(error))
 
     def _block(self, key: str, what: str, levels: Sequence[int], *, repeat: int | None = None, seed_bit: int = 0):

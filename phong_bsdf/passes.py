@@ -83,7 +83,11 @@ class Store:
 
     def image(self, key: str, made: Pass) -> np.ndarray:
         """The picture of a pass, float32."""
-        return images.read_exr(self._path(key, made.spp, made.repeat))
+        path = self._path(key, made.spp, made.repeat)
+        try:
+            return images.read_exr(path)
+        except (RuntimeError, ValueError):
+            raise ValueError(f"'{path}' is broken; delete it, and the next run makes it again") from None
 
     def failure(self, key: str) -> str | None:
         """Why the method's last run failed; None if it did not."""
@@ -104,7 +108,8 @@ class Store:
         try:
             return Pass(**json.loads(images.read_metadata(path)[RECORD]))
         except (RuntimeError, KeyError, TypeError, ValueError):
-            raise ValueError(f"'{path}' is no pass that this version wrote; delete it") from None
+            raise ValueError(f"'{path}' is no pass that this version wrote; delete it, and the next run makes "
+                             "it again") from None  # fmt: skip
 
     def _path(self, key: str, spp: int, repeat: int) -> Path:
         return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"

@@ -144,7 +144,7 @@ def render(
     spp = spp or sensor.sampler().sample_count()
     try:
         if scene.integrator().aov_names():
-            raise SceneError(f"{loaded.path}: the integrator adds channels (AOVs), which this command cannot write")
+            raise ValueError("the integrator adds channels (AOVs), which this command cannot write")
         lights = sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in scene.emitters())
         with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()

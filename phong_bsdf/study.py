@@ -175,9 +175,9 @@ def analyse(
     )  # fmt: skip
 
 
-def failed(name: str, reference: str, reason: str) -> Result:
-    """A method of which nothing is known but why it failed."""
-    return Result(name, reference, reason, (), (), None, None, None, None, "unknown")
+def unmeasured(name: str, reference: str, failure: str | None) -> Result:
+    """A method of which nothing is known but why it failed, if it did."""
+    return Result(name, reference, failure, (), (), None, None, None, None, "unknown")
 
 
 def equal_time(results: Sequence[Result]) -> Table:
@@ -190,8 +190,7 @@ def equal_time(results: Sequence[Result]) -> Table:
         found = [estimates.error_at([at[e.spp] for e in c], [e.relmse for e in c], time) for c in curves]
         return _cell(found)
 
-    columns = _series([t for times in medians.values() for t in times])
-    return _table(results, columns, cell)
+    return _table(results, [t for times in medians.values() for t in times], cell)
 
 
 def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[int, int], float]]) -> Table:
@@ -204,7 +203,7 @@ def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[i
         first = next((level.relmse.value for level in result.levels if level.relmse), math.inf)
         return _cell(times, at_most=first <= error)
 
-    return _table(results, tuple(reversed(_series(found))), cell)
+    return _table(results, found, cell, descending=True)
 
 
 def _level(spp: int, chosen, reference: Reference, flip) -> tuple[Level, list[PassErrors], dict]:
@@ -282,23 +281,31 @@ def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
     return Cell(estimates.geometric_mean(found), at_most)
 
 
-def _table(results: Sequence[Result], columns: Sequence[float], cell) -> Table:
-    """Without columns that fewer than two methods, or the only one, fill, and those in which all are good at once."""
-    rows = {r.name: [cell(r, column) for column in columns] for r in results if r.levels}
-    kept = []
-    for i in range(len(columns)):
-        filled = [row[i] for row in rows.values() if row[i] is not None]
-        if len(filled) >= min(2, len(rows)) and not all(one.at_most for one in filled):
-            kept.append(i)
-    if len(kept) > COLUMNS:
-        kept = [kept[i] for i in np.linspace(0, len(kept) - 1, COLUMNS).round().astype(int)]
-    return Table(tuple(columns[i] for i in kept), {name: tuple(row[i] for i in kept) for name, row in rows.items()})
+def _table(results: Sequence[Result], values: Sequence[float], cell, descending: bool = False) -> Table:
+    """With columns at round numbers between the `values`; at less round ones where those tell nothing.
+
+    Without columns that fewer than two methods, or the only one, fill, and those in which all are good at once.
+    """
+    kept = {}
+    for digits in ((1, 2, 5), [i / 10 for i in range(10, 100)]):
+        columns = {value: [cell(r, value) for r in results if r.levels] for value in _series(values, digits)}
+        for value, cells in columns.items():
+            filled = [one for one in cells if one is not None]
+            if len(filled) >= min(2, len(cells)) and not all(one.at_most for one in filled):
+                kept[value] = cells
+        if kept:
+            break
+    chosen = sorted(kept, reverse=descending)
+    if len(chosen) > COLUMNS:
+        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, COLUMNS).round().astype(int)]
+    names = [r.name for r in results if r.levels]
+    return Table(tuple(chosen), {name: tuple(kept[value][i] for value in chosen) for i, name in enumerate(names)})
 
 
-def _series(values: Sequence[float]) -> tuple[float, ...]:
-    """1, 2 and 5 times the powers of ten between the smallest and the largest value."""
+def _series(values: Sequence[float], digits: Sequence[float]) -> tuple[float, ...]:
+    """These digits times the powers of ten, between the smallest and the largest value."""
     if not values:
         return ()
     low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
-    steps = (float(f"{digit}e{power}") for power in range(low, high + 1) for digit in (1, 2, 5))
+    steps = (float(f"{digit}e{power}") for power in range(low, high + 1) for digit in digits)
     return tuple(step for step in steps if min(values) <= step <= max(values))

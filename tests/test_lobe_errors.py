@@ -57,6 +57,21 @@ def test_study_of_the_lobes(tmp_path, monkeypatch):
     assert run("--from", "out").exit_code == 0
 
 
+def test_killed_run_can_be_drawn(tmp_path, monkeypatch):
+    """Before its first repeat is done, too: the page says that nothing is there."""
+
+    def killed(**options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stability, "sweep", killed)
+    out = str(tmp_path / "out")
+    assert CliRunner().invoke(main, ["converge", "--lobes", "-o", out, "--repeats", "2"]).exit_code == 1
+    drawn = CliRunner().invoke(main, ["converge", "--from", out])
+    assert drawn.exit_code == 0, drawn.stderr or drawn.exception
+    text = (tmp_path / "out" / "index.html").read_text()
+    assert "Nothing has been measured yet." in text and "2 repeats are missing" in text
+
+
 def test_needs_a_jit_variant(tmp_path):
     """In scalar variants there is no kernel to time."""
     result = CliRunner().invoke(main, ["converge", "--lobes", "-o", str(tmp_path / "out"), "-m", "scalar_rgb"])

@@ -81,6 +81,20 @@ def test_foreign_file_is_named(store):
         store.list("m")
 
 
+def test_broken_file_is_named(store):
+    """With what to do: by its record, or by its picture."""
+    store.add("m", MADE, IMAGE)
+    (path,) = (store.passes / "m").iterdir()
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-40])
+    assert store.list("m") == [MADE]
+    with pytest.raises(ValueError, match=r"000016-spp-repeat-003\.exr' is broken; delete it"):
+        store.image("m", MADE)
+    path.write_bytes(b"")
+    with pytest.raises(ValueError, match=r"000016-spp-repeat-003\.exr' is no pass"):
+        store.list("m")
+
+
 def test_folder_holds_one_kind(store):
     """Scenes and lobes do not mix."""
     store.claim(passes.RUN)

@@ -159,6 +159,20 @@ def test_equal_time_and_equal_error():
     assert any(cell.at_most for row in table.rows.values() for cell in row if cell)
 
 
+def test_narrow_tables_have_columns_too():
+    """Times and errors with no 1, 2 or 5 between them are compared at less round numbers."""
+    results, seconds = [], {}
+    for name, cost in (("a", 5.2e-3), ("b", 5.3e-3)):
+        method = Synthetic(name, cost=cost, variance=0.05)
+        passes = [(made(p.spp, p.repeat, cost * (1 + p.spp / 10)), image) for p, image in method.passes((1, 2))]
+        results.append(study.analyse(name, passes, reference()))
+        seconds[name] = {(p.spp, p.repeat): p.seconds for p, _ in passes}
+    table = study.equal_time(results)
+    assert table.columns and all(0.0053 * 1.1 <= time <= 0.0052 * 1.2 for time in table.columns)
+    assert None not in [cell for row in table.rows.values() for cell in row]
+    assert study.equal_error(results, seconds).columns
+
+
 def test_pixels_that_are_no_numbers_are_counted():
     """No error is formed at that level, and the others stand."""
     passes = list(Synthetic("m").passes())

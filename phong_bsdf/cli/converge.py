@@ -108,6 +108,6 @@ def _draw(store, show) -> bool:
         show("writing", 1)
         written, said = report.write(store.folder, found, pictures), report.text_table(found)
         said += "".join(f"\nNote: {warning}" for warning in report.warnings(found))
-        failed = any(not result.levels for result in found.results)
+        failed = any(result.failure for result in found.results)
     click.echo(f"{said.rstrip()}\n\nThe page: {written}")
     return failed

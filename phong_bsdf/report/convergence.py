@@ -10,13 +10,10 @@ from ..conclusions import Conclusions
 from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
-from .convergence_tables import NAMES, all_tables, failure, finest_level, verdict
+from .convergence_tables import NAMES, NOT_YET, all_tables, finest_level, verdict
 from .study import Curve, Plot, Point, drawn, interval, legend, write_svg
 
 PAGE = "index.html"
-
-# Beside the first, brighter ones take the largest colour: single bright pixels would leave a map dark.
-MAP_PERCENTILE = 99.0
 
 
 def text_table(found: Conclusions) -> str:
@@ -26,7 +23,9 @@ def text_table(found: Conclusions) -> str:
     for result in found.results:
         finest = finest_level(result)
         if finest is None:
-            lines.append((result.name, result.reference, "-", "-", "-", "-", "-", "failed"))
+            lines.append(
+                (result.name, result.reference, "-", "-", "-", "-", "-", "failed" if result.failure else NOT_YET)
+            )
             continue
         numbers = [finest.relmse and finest.relmse.value, result.slope and result.slope.value,
                    result.efficiency and result.efficiency.value]  # fmt: skip
@@ -43,13 +42,14 @@ def brief(found: Conclusions) -> list[str]:
         sentences += _best(found.equal_time, names, reference.name)
     for result in found.results:
         if result.verdict == "biased":
-            sentences.append(f"{result.name}: its error {verdict(result)}; more time does not bring it below.")
+            sentences.append(f"{result.name}: its error {verdict(result)}; more time does not bring it below. This is "
+                             f"sure to {100 * study.SURE:g} %.")  # fmt: skip
     return sentences or ["There is not enough to compare yet."]
 
 
 def warnings(found: Conclusions) -> list[str]:
     """What went wrong or is missing."""
-    said = [f"{r.name} failed: {failure(r)}" for r in found.results if not r.levels]
+    said = [f"{r.name} failed: {r.failure}" for r in found.results if r.failure]
     for result in found.results:
         bad = {level.spp: level.nonfinite for level in result.levels if level.nonfinite}
         if bad:
@@ -85,7 +85,10 @@ def write(folder: Path, found: Conclusions, pictures: Mapping[str, np.ndarray]) 
 
 def _write_page(path: Path, found: Conclusions, pictures: Mapping[str, np.ndarray], plots: list[Plot]) -> None:
     run, against = found.run, conclusions.against(found.run)
-    scale = _map_scale(pictures, against)
+    maps = _maps(pictures, against)
+    scale = _map_scale(maps)
+    # Methods first: theirs are the keys from 1 on.
+    ordered = {name: pictures[name] for name in (*maps, *(name for name in pictures if name not in maps))}
     size = next((f"{image.shape[1]} × {image.shape[0]}, " for image in pictures.values()), "")
     page.write(
         path,
@@ -102,8 +105,8 @@ def _write_page(path: Path, found: Conclusions, pictures: Mapping[str, np.ndarra
             "of the seconds, 95 % confidence of the error. Dash-dotted: where a method levels off. Dotted: the "
             "reference's own error.",
         },
-        viewer=page.viewer(pictures, scale, {k: v for k, v in against.items() if k in pictures}) if pictures else None,
-        gallery=_gallery(found, pictures, against, scale) if pictures else None,
+        viewer=page.viewer(ordered, scale, {name: against[name] for name in maps}) if pictures else None,
+        gallery=_gallery(found, pictures, maps, scale) if pictures else None,
         tables=all_tables(found),
     )  # fmt: skip
 
@@ -135,12 +138,10 @@ def _points(result: study.Result, metric: str) -> list[Point]:
     ]  # fmt: skip
 
 
-def _gallery(found: Conclusions, pictures, against, scale: float) -> dict[str, object]:
+def _gallery(found: Conclusions, pictures, maps, scale: float) -> dict[str, object]:
     captions = {
         s.method: f"{s.spp} spp, {tables.number(s.seconds)} s, relMSE {tables.number(s.relmse)}" for s in found.shown
     }
-    with np.errstate(invalid="ignore", over="ignore"):
-        maps = {name: image - pictures[against[name]] for name, image in pictures.items() if name in against}
     return {
         "title": f"Pictures after about {tables.number(found.picture_seconds)} s",
         "pictures": [
@@ -157,25 +158,26 @@ def _gallery(found: Conclusions, pictures, against, scale: float) -> dict[str, o
     }  # fmt: skip
 
 
-def _map_scale(pictures, against) -> float:
-    """The difference that the brightest colour of every map stands for."""
-    found = []
+def _maps(pictures: Mapping[str, np.ndarray], against: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """Picture of a method -> its difference to its reference."""
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, reference in against.items():
-            if name in pictures and reference in pictures:
-                difference = np.abs(pictures[name] - pictures[reference]).mean(axis=-1)
-                found.append(difference[np.isfinite(difference)])
-    return max((float(np.percentile(d, MAP_PERCENTILE)) for d in found if d.size), default=0.0) or 1.0
+        return {name: image - pictures[against[name]] for name, image in pictures.items() if name in against}
+
+
+def _map_scale(maps: Mapping[str, np.ndarray]) -> float:
+    """The difference that the brightest colour stands for: that of the middle method, or the worst leaves all dark."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return float(np.median([page.difference_scale([one]) for one in maps.values()] or [1.0]))
 
 
 def _best(table: study.Table, names: list[str], reference: str) -> list[str]:
     """The three best after the longest time for which there are two or more."""
     for i in reversed(range(len(table.columns))):
-        known = sorted((table.rows[n][i].estimate.value, n) for n in names if n in table.rows and table.rows[n][i])
+        known = [(n, table.rows[n][i].estimate) for n in names if n in table.rows and table.rows[n][i]]
         if len(known) > 1:
-            others = ", ".join(f"{name} {tables.number(e)}" for e, name in known[1:3])
+            (first, least), *others = sorted(known, key=lambda pair: pair[1].value)[:3]
             return [
-                f"After {tables.number(table.columns[i])} s, {known[0][1]} is closest to the reference {reference}: "
-                f"relMSE {tables.number(known[0][0])}; then {others}."
+                f"After {tables.number(table.columns[i])} s, {first} is closest to the reference {reference}: "
+                f"relMSE {interval(least)}; then {', '.join(f'{name} {interval(e)}' for name, e in others)}."
             ]
     return []

@@ -10,6 +10,9 @@ from .study import Cell, Table, estimate, interval, number
 
 NAMES = {"relmse": "relMSE", "mse": "MSE", "max_error": "largest error", "flip": "FLIP"}
 
+# Of a method without a pass, or without a reference.
+NOT_YET = "not measured yet"
+
 ERRORS = (
     f"relMSE: mean of (x - r)² / (r² + {EPSILON:g}), r the reference. relMSE and MSE are without the reference's own "
     "noise. FLIP: HDR-FLIP at -2, 0 and +2 stops, 0 to 1; “-”: not installed. In brackets: 95 % confidence "
@@ -52,9 +55,9 @@ def finest_level(result: study.Result) -> study.Level | None:
     return result.levels[-1] if result.levels else None
 
 
-def failure(result: study.Result) -> str:
-    """Why there is no level."""
-    return result.failure or "no pass"
+def _why(result: study.Result) -> Cell:
+    """Of a method without a level."""
+    return Cell(result.failure, kind="words bad") if result.failure else Cell(NOT_YET, kind="words")
 
 
 def _methods(found: Conclusions) -> Table:
@@ -68,7 +71,7 @@ def _methods(found: Conclusions) -> Table:
         words = [result.reference, (spec["integrator"] or found.run.integrator) + parameters, spec["sampler"],
                  "-" if spec["bsdf"] else spec["sampling"], spec["bsdf"] or "the scene's"]  # fmt: skip
         if finest is None:
-            numbers = [*[Cell("-")] * 3, Cell(failure(result), kind="words bad"), *[Cell("-")] * 4]
+            numbers = [*[Cell("-")] * 3, _why(result), *[Cell("-")] * 4]
         else:
             numbers = [
                 estimate(finest.relmse), number(finest.seconds.median), Cell(str(finest.spp), finest.spp),
@@ -91,7 +94,8 @@ def _equal_time(found: Conclusions) -> Table:
     headings = [f"{tables.number(t)} s" for t in found.equal_time.columns]
     return _cells("equal-time", "relMSE at equal time", headings, found.equal_time, found,
                   "Between two measured points on a straight line of logarithms; “-”: the method was not given as "
-                  "much, or as little, time. Bold: the least of those with the same reference.")  # fmt: skip
+                  "much, or as little, time. In brackets: 95 % confidence of the error at the median times. Bold: the "
+                  "least of those with the same reference.")  # fmt: skip
 
 
 def _equal_error(found: Conclusions) -> Table:

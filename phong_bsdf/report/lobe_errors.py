@@ -37,7 +37,7 @@ def write(folder: Path, found: LobeErrors) -> Path:
         summary=f"{run.variant}, {run.cases} inputs, {found.made} repeats, seed {run.seed}; "
         f"measured with {run.versions} on {run.machine}",
         context=tables.context(),
-        brief=brief(found.rows),
+        brief=brief(found.rows) or ["Nothing has been measured yet."],
         warnings=[f"{run.repeats - found.made} repeats are missing."] if found.made < run.repeats else [],
         chart={
             "title": "Error against time", "label": "Quantity", "plots": drawn(plots), "curves": legend(plots),
@@ -53,7 +53,7 @@ def write(folder: Path, found: LobeErrors) -> Path:
 
 def brief(rows: Sequence[LobeError]) -> list[str]:
     """For each lobe: what the stable value costs, and what it buys, at the largest exponent."""
-    largest, said = max(row.p for row in rows), []
+    largest, said = max((row.p for row in rows), default=0.0), []
     for lobe in dict.fromkeys(row.lobe for row in rows):
         values = {r.formula: r for r in rows if (r.lobe, r.quantity, r.p) == (lobe, "value", largest)}
         stable = values.pop("stable")

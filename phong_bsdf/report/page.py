@@ -69,7 +69,7 @@ def viewer(
             }
             for name, image in pictures.items()
         ],
-        "base": names[0] if len(set(bases.values())) == 1 else "its reference",
+        "base": "its reference" if len(set(bases.values())) > 1 else next(iter(bases.values())),
         "scale": scale,
         "difference": difference_scale,
         "colours": _base64(colour_map().tobytes()),

@@ -2,8 +2,9 @@
 // Tables that sort, and plots that say the values of the point nearest to the mouse.
 (() => {
   const value = (row, column) => {
-    const cell = row.cells[column];
-    return cell.dataset.value === undefined ? cell.textContent : Number(cell.dataset.value);
+    const cell = row.cells[column], number = cell.dataset.value;
+    if (number === undefined) return cell.textContent;
+    return number === "inf" ? Infinity : Number(number);
   };
   // Numbers before words, empty cells last, whichever way the table is sorted.
   const rank = (x) => (typeof x === "number" ? 0 : x === "-" || x === "" ? 2 : 1);
@@ -13,7 +14,7 @@
     rows.sort((a, b) => {
       const [x, y] = [value(a, column), value(b, column)];
       if (rank(x) !== rank(y)) return rank(x) - rank(y);
-      const order = typeof x === "number" ? x - y : x.localeCompare(y);
+      const order = typeof x === "number" ? (x > y) - (x < y) : x.localeCompare(y);
       return up ? order : -order;
     });
     table.tBodies[0].append(...rows);

@@ -107,7 +107,7 @@
   const keys = {
     w: () => toggle("wipe"), d: () => toggle("difference"),
     e: () => setExposure(+exposure.value + 0.5), E: () => setExposure(+exposure.value - 0.5), 0: () => setExposure(0),
-    "+": () => step(zoom, 1), "=": () => step(zoom, 1), "-": () => step(zoom, -1),
+    r: () => show(data.pictures[shown].against), "+": () => step(zoom, 1), "=": () => step(zoom, 1), "-": () => step(zoom, -1),
   };
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
