@@ -25,8 +25,8 @@ LOBES = ("phong", "blinnphong")
 
 
 def rewrite(context: Context) -> None:
-    """All BSDFs of the scene, inner ones first."""
-    for node in reversed(context.root.all()):
+    """All BSDFs of the scene, inner ones and those that are referred to first."""
+    for node in context.inner_first():
         if node.tag == "bsdf":
             rule = RULES.get(node.type)
             if rule:

@@ -17,16 +17,16 @@ CHECKERBOARD = {"color0": 0.4, "color1": 0.2}
 
 
 def rewrite(context: Context) -> None:
-    """All textures of the scene, inner ones first."""
-    for parent in reversed(context.root.all()):
-        for node in parent.nodes:
-            if node.tag != "texture":
-                continue
-            rule = RULES.get(node.type)
-            if rule:
-                rule(node, parent, context)
-            if node.type in ("bitmap", "checkerboard"):
-                _offsets(node, context)
+    """All textures of the scene, inner ones and those that are referred to first."""
+    parents = {child: parent for parent in context.root.all() for child in parent.nodes}
+    for node in context.inner_first():
+        if node.tag != "texture":
+            continue
+        rule = RULES.get(node.type)
+        if rule:
+            rule(node, parents[node], context)
+        if node.type in ("bitmap", "checkerboard"):
+            _offsets(node, context)
 
 
 def _scale(node: Node, parent: Node, context: Context) -> None:
