@@ -64,7 +64,11 @@ class Maps:
         """A bitmap, None where its file is missing or cannot be read."""
         given = material.maps[name]
         place = (material.library.name, given.line)
-        path = self.files.find(given.file, material.library.parent, place)
+        try:
+            path = self.files.find(given.file, material.library.parent, place)
+        except ConversionError as error:
+            self.journal.loss(place, f"texture '{given.file}'", f"its constant stands in: {error.reason}")
+            return None
         if not path.is_file():
             self.journal.loss(place, f"texture '{given.file}'", "there is no such file; its constant stands in")
             return None
