@@ -56,6 +56,23 @@ def images_of(tmp_path):
     images.write(tmp_path / "b.exr", np.full((4, 4, 3), 0.5, np.float32))
 
 
+BITMAP = '<texture type="bitmap" name="reflectance"><string name="filename" value="{}"/>{}</texture>'
+
+
+@pytest.mark.parametrize(("inside", "expected"), [
+    (BITMAP.format("b.exr", ""), "0.5"),
+    (f'<texture type="scale" name="reflectance"><float name="scale" value="0.2"/>{BITMAP.format("b.exr", "")}'
+     '</texture>', "0.1"),
+    ('<texture type="checkerboard" name="reflectance"/>', "0.1"),
+])  # fmt: skip
+def test_textures_of_roughness(convert, tmp_path, inside, expected):
+    """Mitsuba 3's `roughplastic` takes numbers only."""
+    images_of(tmp_path)
+    result, text, _ = convert(bsdf(f'<bsdf type="roughplastic">{inside.replace("reflectance", "alpha")}</bsdf>'))
+    assert f'<bsdf type="roughplastic"><float name="alpha" value="{expected}"/></bsdf>' in text
+    assert [loss.what for loss in result.losses][-1] == "texture for 'alpha' of 'roughplastic'"
+
+
 def test_parameters_of_the_command_line(tmp_path):
     """0.6 needed no <default> for them; the list says which there are."""
     (tmp_path / "old.xml").write_text(
@@ -65,9 +82,6 @@ def test_parameters_of_the_command_line(tmp_path):
     assert [loss.what for loss in losses] == ["$r"]
     assert "-D r=" in losses[0].why
     mi.load_file(str(tmp_path / "new.xml"), r="2")
-
-
-BITMAP = '<texture type="bitmap" name="reflectance"><string name="filename" value="{}"/>{}</texture>'
 
 
 # old elements, what the new scene must hold, whether something is lost

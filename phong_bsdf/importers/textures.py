@@ -206,6 +206,18 @@ def _use(node: Node, path, context: Context) -> None:
     name.set("value", context.files.relative(path.resolve()))
 
 
+def mean(node: Node, context: Context) -> float | None:
+    """The mean of a bitmap that was rewritten, None for other textures and where there is no image."""
+    name = node.find_named("filename")
+    if node.type != "bitmap" or name is None:
+        return None
+    path = context.files.output.parent / name.get("value") if name.final else _image(node, context)
+    if path is None:
+        return None
+    raw = node.find_named("raw")
+    return float(bake.decode(bake.read(path), 1.0 if raw is not None and raw.get("value") == "true" else None).mean())
+
+
 def _product(a: list[float], b: list[float]) -> list[float]:
     if len(a) < len(b):
         a, b = b, a
