@@ -545,6 +545,15 @@ def test_nothing_is_left_of_a_conversion_that_fails(tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.obj", "m.mtl"]
 
 
+@pytest.mark.parametrize("file", ["C:\\Users\\me\\a b.png", "/home/me/a b.png", "..\\maps\\a b.png"])
+def test_paths_of_another_machine(convert, tmp_path, file):
+    """An image of that name beside the materials is meant."""
+    mi.Bitmap(np.zeros((2, 2, 3), np.uint8)).write(str(tmp_path / "a b.png"))
+    result, text, _ = convert(square(), f"newmtl m\nmap_Kd {file}\n")
+    assert result.losses == ()
+    assert '<string name="filename" value="a b.png"/>' in text
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_byte_order_marks(tmp_path, encoding):
     """Some editors put one before the first vertex, and before the first `newmtl`."""
