@@ -554,6 +554,15 @@ def test_paths_of_another_machine(convert, tmp_path, file):
     assert '<string name="filename" value="a b.png"/>' in text
 
 
+def test_triangles_without_area_do_not_bend_normals(convert):
+    """Exporters close spheres by quads, two corners of which are the pole."""
+    result, _, _ = convert("v 0 0 0\nv 0 0 0\nv 0 0 1\nv 1 0 0\ns 1\nf 1 2 3 4\n")
+    mesh = mi.load_dict({"type": "ply", "filename": str(result.files[1])})
+    normals = np.array(mi.traverse(mesh)["vertex_normals"]).reshape(-1, 3)
+    # The corner that only the triangle without area has keeps a normal, which no pixel shows.
+    assert (np.abs(normals - [0, 1, 0]).max(axis=1) < 1e-6).sum() >= 3
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_byte_order_marks(tmp_path, encoding):
     """Some editors put one before the first vertex, and before the first `newmtl`."""
