@@ -514,6 +514,7 @@ def test_progress(tmp_path):
         (BOX + "\nf 1 2 x\n", "line 8: 'f 1 2 x' should be numbers"),
         ("v 1 2 nan\nf 1 1 1\n", "line 1: 'v 1 2 nan' should be numbers"),
         ("v 1 2 1e999\nf 1 1 1\n", "not finite, or beyond 1e18"),
+        (BOX + "f 1 2 4294967299\n", "line 7: 'f 1 2 4294967299' should be numbers"),
         (BOX, "there are no faces"),
         ("", "there are no faces"),
     ],
@@ -526,13 +527,65 @@ def test_broken_models(tmp_path, text, message):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.obj"]
 
 
-def test_nothing_is_left_of_a_conversion_that_fails(tmp_path):
-    """The second material leads out of the folder: the mesh of the first is taken back."""
-    (tmp_path / "m.mtl").write_text("newmtl a\nnewmtl b\nmap_Kd ../x.png\n")
+def test_nothing_is_left_of_a_conversion_that_fails(tmp_path, monkeypatch):
+    """The second mesh cannot be written: that of the first is taken back."""
+    write, written = meshes.write_ply, []
+
+    def fail_second(path, mesh):
+        if written:
+            raise OSError("full")
+        written.append(path)
+        write(path, mesh)
+
+    monkeypatch.setattr(meshes, "write_ply", fail_second)
+    (tmp_path / "m.mtl").write_text("newmtl a\nnewmtl b\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\n" + square("a") + square("b"))
-    with pytest.raises(ConversionError, match="leads out"):
+    with pytest.raises(OSError, match="full"):
         convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.obj", "m.mtl"]
+
+
+@pytest.mark.parametrize("file", ["C:\\Users\\me\\a b.png", "/home/me/a b.png", "..\\maps\\a b.png"])
+def test_paths_of_another_machine(convert, tmp_path, file):
+    """An image of that name beside the materials is meant."""
+    mi.Bitmap(np.zeros((2, 2, 3), np.uint8)).write(str(tmp_path / "a b.png"))
+    result, text, _ = convert(square(), f"newmtl m\nmap_Kd {file}\n")
+    assert result.losses == ()
+    assert '<string name="filename" value="a b.png"/>' in text
+
+
+def test_triangles_without_area_do_not_bend_normals(convert):
+    """Exporters close spheres by quads, two corners of which are the pole."""
+    result, _, _ = convert("v 0 0 0\nv 0 0 0\nv 0 0 1\nv 1 0 0\ns 1\nf 1 2 3 4\n")
+    mesh = mi.load_dict({"type": "ply", "filename": str(result.files[1])})
+    normals = np.array(mi.traverse(mesh)["vertex_normals"]).reshape(-1, 3)
+    # The corner that only the triangle without area has keeps a normal, which no pixel shows.
+    assert (np.abs(normals - [0, 1, 0]).max(axis=1) < 1e-6).sum() >= 3
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_byte_order_marks(tmp_path, encoding):
+    """Some editors put one before the first vertex, and before the first `newmtl`."""
+    (tmp_path / "a.obj").write_text(square("red") + "mtllib a.mtl\n", encoding=encoding)
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\n", encoding=encoding)
+    result = convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
+    assert result.losses == ()
+    assert '<rgb name="kd" value="1, 0, 0"/>' in result.output.read_text()
+
+
+def test_tabs_before_names_with_spaces(convert):
+    """A keyword ends at any blank."""
+    obj = "mtllib\tb c.mtl\n" + square().replace("usemtl ", "usemtl\t a ")
+    result, text, _ = convert(obj, "newmtl a m\nKd 1 0 0\n")
+    assert [loss.what for loss in result.losses] == ["material library 'b'", "material library 'c.mtl'"]
+    assert '<rgb name="kd" value="1, 0, 0"/>' in text
+
+
+def test_corners_without_the_rest(convert):
+    """Slashes with nothing behind them."""
+    for face in ("f 1/ 2/ 3/ 4/", "f 1// 2// 3// 4//"):
+        result, _, _ = convert(re.sub("f .*", face, square(uv=False)))
+        assert len(mi.load_dict({"type": "ply", "filename": str(result.files[1])}).faces_buffer()) == 6
 
 
 @pytest.mark.parametrize(("option", "message"), [({"vocabulary": "x"}, "vocabulary"), ({"camera": "x"}, "camera")])

@@ -1,6 +1,7 @@
 """Input from elsewhere: nothing is read that should not be, nothing hangs, every refusal is one sentence."""
 
 import os
+import re
 import time
 
 import mitsuba as mi
@@ -133,12 +134,34 @@ def test_includes_that_double_each_other(tmp_path):
 
 @pytest.mark.parametrize("text", ["mtllib ../x.mtl\n", "mtllib /etc/passwd\n", "mtllib a.mtl\nusemtl m\n"])
 def test_models_do_not_leave_their_folder(tmp_path, text):
-    """Neither for materials nor for textures."""
-    (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd ../../x.png\n")
-    (tmp_path / "a.obj").write_text(text + "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
-    with pytest.raises(ConversionError, match=r"leads out of|absolute path"):
-        convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
-    assert not (tmp_path / "new.xml").exists()
+    """Neither for materials nor for textures: those count as missing, since exporters write absolute paths."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    mi.Bitmap(np.zeros((2, 2, 3), np.uint8)).write(str(tmp_path / "x.png"))
+    (tmp_path / "x.mtl").write_text("newmtl m\nKd 1 0 0\n")
+    (folder / "a.mtl").write_text("newmtl m\nmap_Kd ../x.png\nmap_Ks C:\\x.png\n")
+    (folder / "a.obj").write_text(text + "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
+    result = convert_model(folder / "a.obj", folder / "new.xml")
+    assert re.search(r"leads out of|absolute path", result.losses[0].why)
+    assert not re.search(r"x\.png</|bitmap|1, 0, 0", re.sub("<!--.*?-->", "", result.output.read_text(), flags=re.S))
+
+
+def test_files_that_the_input_names_are_not_overwritten(tmp_path):
+    """An included scene is input, too."""
+    (tmp_path / "old.xml").write_text('<scene version="0.6.0"><include filename="new.xml"/></scene>')
+    (tmp_path / "new.xml").write_text('<scene version="0.6.0"><bsdf type="diffuse"/></scene>')
+    before = (tmp_path / "new.xml").read_bytes()
+    with pytest.raises(ConversionError, match="choose another name"):
+        convert_scene(tmp_path / "old.xml", tmp_path / "new.xml")
+    assert (tmp_path / "new.xml").read_bytes() == before
+
+
+def test_references_that_double_each_other(tmp_path):
+    """Each material holds two copies of the one before: refused before they fill the memory."""
+    double = '<bsdf type="mixturebsdf" id="b{}"><string name="weights" value="0.5 0.5"/>{}</bsdf>'
+    inside = '<bsdf type="roughcoating"><ref id="b{}"/></bsdf>' * 2
+    text = "".join(double.format(i + 1, inside.format(i, i)) for i in range(40))
+    refused(tmp_path, f'<scene version="0.6.0"><bsdf type="plastic" id="b0"/>{text}</scene>', "grow without bound")
 
 
 @pytest.mark.parametrize("output", ["old.xml", "./old.xml", "link.xml", "new.txt", "no/new.xml", "."])

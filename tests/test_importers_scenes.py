@@ -59,6 +59,31 @@ def images_of(tmp_path):
 BITMAP = '<texture type="bitmap" name="reflectance"><string name="filename" value="{}"/>{}</texture>'
 
 
+@pytest.mark.parametrize(("inside", "expected"), [
+    (BITMAP.format("b.exr", ""), "0.5"),
+    (f'<texture type="scale" name="reflectance"><float name="scale" value="0.2"/>{BITMAP.format("b.exr", "")}'
+     '</texture>', "0.1"),
+    ('<texture type="checkerboard" name="reflectance"/>', "0.1"),
+])  # fmt: skip
+def test_textures_of_roughness(convert, tmp_path, inside, expected):
+    """Mitsuba 3's `roughplastic` takes numbers only."""
+    images_of(tmp_path)
+    result, text, _ = convert(bsdf(f'<bsdf type="roughplastic">{inside.replace("reflectance", "alpha")}</bsdf>'))
+    assert f'<bsdf type="roughplastic"><float name="alpha" value="{expected}"/></bsdf>' in text
+    assert [loss.what for loss in result.losses][-1] == "texture for 'alpha' of 'roughplastic'"
+
+
+def test_parameters_of_the_command_line(tmp_path):
+    """0.6 needed no <default> for them; the list says which there are."""
+    (tmp_path / "old.xml").write_text(
+        f'<scene version="0.6.0">{SENSOR}<shape type="sphere"><float name="radius" value="$r"/></shape></scene>'
+    )
+    losses = convert_scene(tmp_path / "old.xml", tmp_path / "new.xml").losses
+    assert [loss.what for loss in losses] == ["$r"]
+    assert "-D r=" in losses[0].why
+    mi.load_file(str(tmp_path / "new.xml"), r="2")
+
+
 # old elements, what the new scene must hold, whether something is lost
 CASES = {
     "srgb": (
@@ -96,6 +121,32 @@ CASES = {
     "blackbody": (
         '<emitter type="point"><blackbody name="intensity" temperature="5000K"/></emitter>',
         '<spectrum name="intensity" value="360:', False,
+    ),
+    "grey light": (
+        '<emitter type="constant"><spectrum name="radiance" value="0.3"/></emitter>',
+        '<rgb name="radiance" value="0.3"/>', False,
+    ),
+    "grey light, a parameter": (
+        '<default name="power" value="2"/>'
+        '<emitter type="constant"><spectrum name="radiance" value="$power"/></emitter>',
+        '<rgb name="radiance" value="$power"/>', False,
+    ),
+    "medium without bsdf": (
+        '<medium type="homogeneous" id="m"/><shape type="sphere"><ref name="interior" id="m"/></shape>',
+        '<ref name="interior" id="m"/><bsdf type="null"/>', False,
+    ),
+    "coating of a reference to what stands before": (
+        '<bsdf type="roughplastic" id="b"><string name="distribution" value="phong"/></bsdf>'
+        + bsdf('<bsdf type="coating"><ref id="b"/></bsdf>'),
+        '<bsdf type="roughplastic"><string name="distribution" value="beckmann"/></bsdf></bsdf></shape>', True,
+    ),
+    "scale of a reference to a scale": (
+        '<texture type="scale" id="t"><float name="scale" value="0.5"/>'
+        '<texture type="checkerboard"><float name="uscale" value="3"/></texture></texture>'
+        + bsdf('<bsdf type="diffuse"><texture type="scale" name="reflectance"><float name="scale" value="0.5"/>'
+               '<ref id="t"/></texture></bsdf>'),
+        '<bsdf type="diffuse"><texture type="checkerboard" name="reflectance"><transform name="to_uv">'
+        '<scale x="3" y="1"/><translate x="0" y="0"/></transform><rgb name="color0" value="0.1"/>', False,
     ),
     "lookAt": ("", '<lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>', False),
     "defaults": ("", '<default name="spp" value="4"/><default name="width" value="16"/>'
@@ -202,7 +253,7 @@ CASES = {
     ),
     "emitter scale": (
         '<emitter type="directional"><float name="scale" value="3"/><spectrum name="irradiance" value="2"/></emitter>',
-        '<spectrum name="irradiance" value="6"/>', False,
+        '<rgb name="irradiance" value="6"/>', False,
     ),
     "sky": (
         '<emitter type="sky"><float name="turbidity" value="4"/><vector name="sunDirection" x="0" y="1" z="0"/>'
@@ -370,7 +421,7 @@ def test_version_0_2(convert):
         '<lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>',
         '<film type="hdrfilm"><string name="pixel_format" value="rgb"/></film>',
         '<emitter type="directional"><rgb name="irradiance" value="1 2 3"/></emitter>',
-        '<emitter type="constant"><spectrum name="radiance" value=".5"/></emitter>',
+        '<emitter type="constant"><rgb name="radiance" value=".5"/></emitter>',
         '<boolean name="flip_normals" value="true"/><bsdf type="diffuse"/>',
         '<point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="1" z="0"/>',
         '<bsdf type="roughplastic"><float name="alpha" value=".3"/>'
@@ -400,7 +451,7 @@ def test_the_camera_of_0_3_is_mirrored(convert):
 def test_background_of_0_4(convert):
     """<background> is the constant emitter."""
     _, text, _ = convert('<background><spectrum name="intensity" value=".5"/></background>', version="0.4.0")
-    assert '<emitter type="constant"><spectrum name="radiance" value=".5"/></emitter>' in text
+    assert '<emitter type="constant"><rgb name="radiance" value=".5"/></emitter>' in text
 
 
 def test_blackbody_is_plancks_law():

@@ -43,19 +43,21 @@ def convert(source, output, vocabulary, camera, root, check):
                 options = {"vocabulary": vocabulary or "coefficients", "camera": camera or "auto"}
                 result = importers.convert_model(source, output, root=root, on_progress=show, **options)
         click.echo(importers.story(result), nl=False)
-        refusal = _refusal(output) if check else None
+        has_camera, refusal = _load(output) if check else (True, None)
     if refusal:
         click.echo(f"\nMitsuba does not load it yet. {refusal}", err=True)
         sys.exit(1)
+    if not has_camera:
+        click.echo("\nIt has no camera yet: add a <sensor> to render it.")
+        return
     click.echo(f"\nRender it with: phong-bsdf render {output} -o {output.with_suffix('.png')}")
 
 
-def _refusal(scene: Path) -> str | None:
-    """What stands in the way of rendering a scene, None if nothing does."""
+def _load(scene: Path) -> tuple[bool, str | None]:
+    """Whether a scene has a camera, and why Mitsuba does not load it, None if it does."""
     from .. import rendering
 
     try:
-        rendering.load(scene)
+        return bool(rendering.load(scene).scene.sensors()), None
     except rendering.SceneError as error:
-        return str(error)
-    return None
+        return False, str(error)

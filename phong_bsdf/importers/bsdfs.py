@@ -5,7 +5,7 @@ Each rule changes one `<bsdf>` in place. Names are in snake_case by now.
 
 import math
 
-from . import highlights
+from . import highlights, textures
 from .context import Context
 from .records import ConversionError
 from .values import color, number, numbers, set_color, to_text
@@ -18,6 +18,9 @@ INDICES = {
     "diamond": 2.419, "amber": 1.55, "pet": 1.575,
 }  # fmt: skip
 
+# Roughness where none is given.
+ALPHA = 0.1
+
 # Energy rule of 0.6 where a reflectance exceeds 1.
 CONSERVED = 0.99
 REFLECTANCES = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance")
@@ -25,8 +28,8 @@ LOBES = ("phong", "blinnphong")
 
 
 def rewrite(context: Context) -> None:
-    """All BSDFs of the scene, inner ones first."""
-    for node in reversed(context.root.all()):
+    """All BSDFs of the scene, inner ones and those that are referred to first."""
+    for node in context.inner_first():
         if node.tag == "bsdf":
             rule = RULES.get(node.type)
             if rule:
@@ -61,12 +64,15 @@ def _rough(node: Node, context: Context) -> None:
             context.journal.change(
                 given.place, f"'{name}' {given.get('value')}", f"now alpha = sqrt(2/(p+2)) = {alpha:.4g}"
             )
+    alpha = node.find_named("alpha")
+    if node.type == "roughplastic" and alpha is not None and context.dereference(alpha).tag == "texture":
+        _mean_roughness(node, alpha, context)
     if kind is None or kind.get("value") not in ("phong", "as"):
         return
     old = kind.get("value")
     kind.set("value", "beckmann")
     alpha = node.find_named("alpha")
-    value = color(alpha) if alpha is not None else [0.1]
+    value = color(alpha) if alpha is not None else [ALPHA]
     power = f", whose exponent is about 2/alpha^2 - 2 = {2 / value[0] ** 2 - 2:.4g}" if value and value[0] > 0 else ""
     context.journal.loss(
         kind.place, f"{node.type} with distribution '{old}'", f"now 'beckmann' of the same alpha{power}"
@@ -77,6 +83,13 @@ def _rough(node: Node, context: Context) -> None:
             if given is not None and node.find_named("alpha") is None:
                 given.set("name", "alpha")
                 node.append(given)
+
+
+def _mean_roughness(node: Node, alpha: Node, context: Context) -> None:
+    mean = textures.mean(context.dereference(alpha), context)
+    node.replace(alpha, node.like("float", name="alpha", value=to_text([ALPHA if mean is None else mean])))
+    now = f"the default, {ALPHA}" if mean is None else f"the image's mean, {mean:.3g}"
+    context.journal.loss(alpha.place, f"texture for 'alpha' of '{node.type}'", f"Mitsuba 3 wants a number; now {now}")
 
 
 def _course_plastic(node: Node, context: Context) -> None:

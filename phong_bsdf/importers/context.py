@@ -8,6 +8,9 @@ from .paths import Files
 from .records import ConversionError, Journal
 from .xmlfile import Node
 
+# Elements. References to references that are copied grow like an entity bomb.
+MOST_COPIES = 200_000
+
 
 @dataclass
 class Context:
@@ -21,6 +24,8 @@ class Context:
     """How many files were included so far."""
     ids: dict[str, Node] = field(default_factory=dict)
     aliases: dict[str, str] = field(default_factory=dict)
+    copied: int = 0
+    """How many elements were copied in the place of references so far."""
 
     def learn_ids(self) -> None:
         """Look at all ids and aliases. Rules change elements in place, so that once is enough."""
@@ -29,6 +34,20 @@ class Context:
                 self.aliases[node.get("as", "")] = node.get("id", "")
             elif node.tag != "ref" and "id" in node.attrib:
                 self.ids.setdefault(node.get("id"), node)
+
+    def inner_first(self) -> list[Node]:
+        """All elements, each after those inside of it and those that it refers to: a copy of one is a finished one."""
+        order, seen, stack = [], set(), [(self.root, False)]
+        while stack:
+            node, done = stack.pop()
+            if done:
+                order.append(node)
+            elif node not in seen:
+                seen.add(node)
+                stack.append((node, True))
+                # Of a reference that leads nowhere there is nothing to be done first.
+                stack += [(what, False) for child in reversed(node.nodes) if (what := self.target(child)) is not None]
+        return order
 
     def target(self, node: Node) -> Node | None:
         """What a reference stands for; the node itself if it is none; None where there is no such object."""
@@ -54,6 +73,9 @@ class Context:
         made = found.clone()
         for inner in made.all():
             inner.attrib.pop("id", None)
+            self.copied += 1
+        if self.copied > MOST_COPIES:
+            raise ConversionError(f"{node.file}, line {node.line}: the references of this scene grow without bound")
         if node.name:
             made.set("name", node.name)
         else:

@@ -44,6 +44,7 @@ def convert_scene(
         _inline(tree, context, [path.resolve()])
         context.learn_ids()
         _learn_files(context)
+        files.spare()
         on_progress("converting", 0.3)
         upgrade(tree, version, journal)
         for rewrite in PASSES:
@@ -152,6 +153,14 @@ def _filenames(context: Context) -> None:
             node.set(attribute, new)
 
 
+def _parameters(context: Context) -> None:
+    """Parameters that Mitsuba 0.6 had from its command line."""
+    for node in context.root.all():
+        for name in re.findall(r"(?<!\\)\$(\w+)", " ".join(node.attrib.values())):
+            if name not in context.defaults:
+                context.journal.loss(node.place, f"${name}", f"has no <default>: add one, or render with -D {name}=...")
+
+
 def _settings(context: Context) -> None:
     """An integrator where there is none; samples and size as `<default>`s, so that the command line can change them."""
     root = context.root
@@ -183,5 +192,6 @@ PASSES = (
     plugins.rewrite,
     catalogue.sift,
     _filenames,
+    _parameters,
     _settings,
 )

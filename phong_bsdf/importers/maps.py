@@ -1,6 +1,8 @@
 """The maps of MTL materials -> Mitsuba's textures: options, factors, and images that are not there."""
 
+import contextlib
 from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
@@ -64,7 +66,9 @@ class Maps:
         """A bitmap, None where its file is missing or cannot be read."""
         given = material.maps[name]
         place = (material.library.name, given.line)
-        path = self.files.find(given.file, material.library.parent, place)
+        path = self._find(given, material, place)
+        if path is None:
+            return None
         if not path.is_file():
             self.journal.loss(place, f"texture '{given.file}'", "there is no such file; its constant stands in")
             return None
@@ -88,6 +92,23 @@ class Maps:
             made.add("boolean", name="raw", value="true")
         self._place(made, given)
         return made
+
+    def _find(self, given: Map, material: Material, place) -> Path | None:
+        """The file of a map, None where it may not be read.
+
+        Exporters write the paths of their own machine. The image often lies beside the materials.
+        """
+        folder = material.library.parent
+        try:
+            return self.files.find(given.file, folder, place)
+        except ConversionError as error:
+            with contextlib.suppress(ConversionError):
+                beside = self.files.find(PureWindowsPath(given.file).name, folder, place)
+                if beside.is_file():
+                    self.journal.change(place, f"texture '{given.file}'", f"now '{beside.name}', beside the materials")
+                    return beside
+            self.journal.loss(place, f"texture '{given.file}'", f"its constant stands in: {error.reason}")
+            return None
 
     def _change(self, image: np.ndarray, given: Map, name: str, factor, raw: bool) -> np.ndarray | None:
         """The image that the texture shows, None where it is the file's."""

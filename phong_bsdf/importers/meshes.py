@@ -66,7 +66,8 @@ def _corner_normals(t: Triangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if not missing.any():
         return t.normals, t.vn, np.zeros(len(t.v), bool)
     sides = [t.positions[t.v[:, (i + 1) % 3]].astype(np.float64) - t.positions[t.v[:, i]] for i in range(3)]
-    face = _unit(np.cross(sides[0], -sides[2]))
+    across = np.cross(sides[0], -sides[2])
+    face = _unit(across)
     vn, normals = t.vn.copy(), [t.normals.astype(np.float64)]
     flat = missing & (t.smoothing == 0)[:, None]
     smooth = missing & ~flat
@@ -76,6 +77,8 @@ def _corner_normals(t: Triangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     _, group = np.unique(key, return_inverse=True)
     ahead, back = (np.stack(sides)[columns, rows], -np.stack(sides)[columns - 1, rows])
     angle = np.arccos(np.clip(np.sum(_unit(ahead) * _unit(back), axis=1), -1, 1))
+    # Triangles without area, as at the poles of spheres, have no direction to add.
+    angle *= across[rows].any(axis=1)
     count = int(group.max(initial=-1)) + 1
     sums = [np.bincount(group, weights=angle * face[rows, axis], minlength=count) for axis in range(3)]
     vn[rows, columns] = len(t.normals) + group

@@ -84,12 +84,13 @@ def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -
     found: dict[str, mtl.Material] = {}
     for text, line in triangles.libraries:
         place = (path.name, line)
-        whole = files.find(text, path.parent, place) if text else None
         # The specification has several names on a line; many programs write one, with spaces.
-        names = (
-            [whole] if whole and whole.is_file() else [files.find(word, path.parent, place) for word in text.split()]
-        )
-        for library in names:
+        whole = _find(text, path, place, files)
+        words = [text] if isinstance(whole, Path) and whole.is_file() else text.split()
+        for library in (_find(word, path, place, files) for word in words):
+            if isinstance(library, ConversionError):
+                journal.loss(place, "a material library", library.reason)
+                continue
             if not library.is_file():
                 journal.loss(place, f"material library '{library.name}'", "there is no such file")
                 continue
@@ -101,6 +102,14 @@ def _library(path: Path, triangles: Triangles, files: Files, journal: Journal) -
             with contextlib.suppress(ConversionError):
                 files.find(texture.file, material.library.parent, material.place())
     return found
+
+
+def _find(name: str, path: Path, place, files: Files) -> Path | ConversionError:
+    """The file that a model names, or why it is not read."""
+    try:
+        return files.find(name, path.parent, place)
+    except ConversionError as error:
+        return error
 
 
 def _parts(

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from .objfile import decoded
+from .objfile import decoded, without_mark
 from .records import ConversionError, Journal
 
 COLORS = ("ka", "kd", "ks", "ke", "tf")
@@ -68,7 +68,7 @@ class Material:
 def read(path: Path, journal: Journal) -> dict[str, Material]:
     """The materials of an MTL file by their names."""
     try:
-        text = decoded_lines(path.read_bytes())
+        text = decoded_lines(without_mark(path.read_bytes()))
     except OSError as error:
         raise ConversionError(f"{path}: {error.strerror}") from None
     materials: dict[str, Material] = {}

@@ -6,6 +6,7 @@ comments after a face), is handled here, line by line, before it gets the text: 
 material and smoothing group, and nothing but `v`, `vt`, `vn` and `f` besides.
 """
 
+import codecs
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +22,12 @@ REMEDY = "pip install 'phong-bsdf[import]'"
 OTHER_LINE = re.compile(rb"^(?![ \t]*(?:v|vt|vn|f)[ \t])[^\n]+", re.M)
 CONTINUED = re.compile(rb"(?:[^\n]*\\\n)+[^\n]*")
 COMMENT = re.compile(rb"^([ \t]*(?:v|vt|vn|f)[ \t][^\n#]*)#[^\n]*", re.M)
-NO_NUMBER = re.compile(rb"^(?![ \t]*(?:v[tn]?[ \t][-+.\deE \t]*|f[ \t][-/\d \t]*|usemtl \d+)?$)", re.M)
+# An index of ten digits would overflow, and name another vertex.
+NO_NUMBER = re.compile(
+    rb"^(?![ \t]*(?:v[tn]?[ \t][-+.\deE \t]*|f[ \t](?:[-/ \t]*\d{1,9}(?!\d))*[-/ \t]*|usemtl \d+)?$)", re.M
+)
+# `1/ 2/` and `1// 2//`: corners without the rest, as some programs write them.
+BARE_SLASHES = re.compile(rb"/+(?=[ \t\n]|\Z)")
 
 IGNORED = {b"g", b"o", b"vp", b"lod", b"bevel", b"c_interp", b"d_interp", b"shadow_obj", b"trace_obj", b"end", b"mg"}
 LEFT_OUT = {
@@ -61,14 +67,16 @@ def read(path: Path, journal: Journal, on_progress: Callable[[float], None] = la
         raise ConversionError(f"{path}: {error.strerror}") from None
     statements = _Statements(path.name, journal)
     on_progress(0.1)
-    text = statements.strip_from(_tidy(data))
+    text = statements.strip_from(_tidy(without_mark(data)))
     del data
     on_progress(0.3)
+    if b"/ " in text or b"/\n" in text:
+        text = BARE_SLASHES.sub(b"", text)
     wrong = NO_NUMBER.search(text)
     if wrong:
         line = text.count(b"\n", 0, wrong.start()) + 1
         content = decoded(text[wrong.start() : wrong.start() + 200].split(b"\n")[0]).strip()
-        raise ConversionError(f"{path}, line {line}: '{content[:60]}' should be numbers")
+        raise ConversionError(f"{path}, line {line}: '{content[:60]}' should be numbers of a sensible size")
     on_progress(0.6)
     return _parse(loader, path, text, statements)
 
@@ -79,6 +87,13 @@ def _loader():
     except ImportError:
         raise ConversionError(f"OBJ files are read with tinyobjloader, which is not installed: {REMEDY}") from None
     return tinyobjloader
+
+
+def without_mark(data: bytes) -> bytes:
+    """Text without the byte order mark that some editors put first, in UTF-8 where the mark says UTF-16."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def _tidy(data: bytes) -> bytes:
@@ -113,8 +128,7 @@ class _Statements:
         return [(name, self._lines[name]) for name in self.materials]
 
     def _statement(self, match, text: bytes) -> bytes:
-        keyword, _, rest = match[0].strip().partition(b" " if b" " in match[0].strip() else b"\t")
-        keyword = keyword.strip()
+        keyword, rest = (*match[0].split(None, 1), b"", b"")[:2]
         if keyword not in (b"usemtl", b"s", b"mtllib", *LEFT_OUT):
             if keyword and not keyword.startswith(b"#") and keyword not in IGNORED:
                 self._loss(keyword, match, text, "not a statement that is known here")
@@ -136,7 +150,7 @@ class _Statements:
         return b"usemtl %d" % number
 
     def _group(self, rest: bytes, line: int) -> int:
-        text = rest.strip().lower()
+        text = rest.partition(b"#")[0].strip().lower()
         if text in (b"off", b"null", b""):
             return 0
         try:
@@ -193,7 +207,8 @@ def _parse(loader, path: Path, text: bytes, statements: _Statements) -> Triangle
 
 
 def _vertices(values, n: int, path: Path, what: str) -> np.ndarray:
-    array = np.array(values, np.float32).reshape(-1, n)
+    with np.errstate(over="ignore"):
+        array = np.array(values, np.float32).reshape(-1, n)
     if not np.isfinite(array).all() or np.abs(array, out=array.copy()).max(initial=0) > 1e18:
         raise ConversionError(f"{path}: there are {what} that are not finite, or beyond 1e18")
     return array

@@ -52,6 +52,11 @@ class Files:
         self._named.add(found)
         return found
 
+    def spare(self) -> None:
+        """Raise ConversionError where the new scene would take the place of a file that the input names."""
+        if self.output.resolve() in self._named:
+            raise ConversionError(f"'{self.output}' is a file that the input names; choose another name")
+
     def relative(self, path: Path) -> str:
         """`path` as the new scene names it. (A bare $ would be a parameter.)"""
         return Path(os.path.relpath(path, self.output.parent.resolve())).as_posix().replace("$", "\\$")

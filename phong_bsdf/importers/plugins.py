@@ -47,6 +47,8 @@ PIXEL_FORMATS = {
     "luminancealpha": "luminance_alpha", "spectrum": "rgb", "spectrumalpha": "rgba", "multispectrumalpha": "rgba",
 }  # fmt: skip
 
+LIGHTS = ("radiance", "irradiance", "intensity", "power")
+
 # What has no counterpart, and is left out.
 GONE = {
     ("emitter", "collimated"): "Mitsuba 3 has no beam of no width; try 'directionalarea' on a small disk",
@@ -162,6 +164,12 @@ def _sensor(node: Node, context: Context) -> None:
 
 
 def _emitter(node: Node, context: Context) -> None:
+    for light in node.nodes:
+        given = context.substituted(light.get("value", ":"))
+        if light.tag == "spectrum" and light.name in LIGHTS and ":" not in given:
+            # One number was white. Mitsuba 3 takes it for a spectrum of equal energy, which is reddish.
+            light.tag = "rgb"
+            context.journal.change(light.place, f"<spectrum> of one number in '{node.type}'", "now <rgb>: white")
     scale = node.find_named("scale")
     if scale is not None and node.type not in ("envmap", "sky", "sun", "sunsky"):
         node.remove(scale)
@@ -179,7 +187,7 @@ def _emitter(node: Node, context: Context) -> None:
 
 def _brighter(node: Node, scale: Node, context: Context) -> None:
     """An emitter's factor, which only few emitters of Mitsuba 3 have."""
-    light = node.find_named("radiance", "irradiance", "intensity", "power")
+    light = node.find_named(*LIGHTS)
     values = color(light) if light is not None else [1.0]
     if values is None:
         context.journal.loss(
@@ -234,6 +242,12 @@ def _shape(node: Node, context: Context) -> None:
         )
     for child in surfaces[:1]:
         child.attrib.pop("name", None)
+    media = [n for n in node.nodes if getattr(context.target(n), "tag", "") == "medium"]
+    if media and not surfaces and not any(n.tag == "emitter" for n in node.nodes):
+        node.add("bsdf", type="null")
+        context.journal.change(
+            node.place, f"'{node.type}' of a medium without BSDF", "now 'null', as Mitsuba 0.6 had it"
+        )
 
 
 def _medium(node: Node, context: Context) -> None:

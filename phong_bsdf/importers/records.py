@@ -10,6 +10,11 @@ CHANGE, LOSS = "change", "loss"
 class ConversionError(ValueError):
     """A file that cannot be converted, or must not be. The message names the file and, where there is one, the line."""
 
+    @property
+    def reason(self) -> str:
+        """The message without the place."""
+        return re.sub(r"^.*?, line \d+: ", "", str(self))
+
 
 @dataclass(frozen=True, order=True)
 class Record:

@@ -17,16 +17,16 @@ CHECKERBOARD = {"color0": 0.4, "color1": 0.2}
 
 
 def rewrite(context: Context) -> None:
-    """All textures of the scene, inner ones first."""
-    for parent in reversed(context.root.all()):
-        for node in parent.nodes:
-            if node.tag != "texture":
-                continue
-            rule = RULES.get(node.type)
-            if rule:
-                rule(node, parent, context)
-            if node.type in ("bitmap", "checkerboard"):
-                _offsets(node, context)
+    """All textures of the scene, inner ones and those that are referred to first."""
+    parents = {child: parent for parent in context.root.all() for child in parent.nodes}
+    for node in context.inner_first():
+        if node.tag != "texture":
+            continue
+        rule = RULES.get(node.type)
+        if rule:
+            rule(node, parents[node], context)
+        if node.type in ("bitmap", "checkerboard"):
+            _offsets(node, context)
 
 
 def _scale(node: Node, parent: Node, context: Context) -> None:
@@ -204,6 +204,18 @@ def _use(node: Node, path, context: Context) -> None:
     name = node.find_named("filename")
     name.final = True
     name.set("value", context.files.relative(path.resolve()))
+
+
+def mean(node: Node, context: Context) -> float | None:
+    """The mean of a bitmap that was rewritten, None for other textures and where there is no image."""
+    name = node.find_named("filename")
+    if node.type != "bitmap" or name is None:
+        return None
+    path = context.files.output.parent / name.get("value") if name.final else _image(node, context)
+    if path is None:
+        return None
+    raw = node.find_named("raw")
+    return float(bake.decode(bake.read(path), 1.0 if raw is not None and raw.get("value") == "true" else None).mean())
 
 
 def _product(a: list[float], b: list[float]) -> list[float]:
