@@ -140,6 +140,21 @@ def test_another_picture_is_none_of_these(check, name):
         assert grade.status == "wrong" and grade.mistake is None, (what, grade.mistake)
 
 
+@pytest.mark.parametrize(("name", "srgb"), (("course-3", False), ("course-4", False), ("course-4", True)))
+def test_a_gamma_of_2_2(check, name, srgb):
+    """What many use for the sRGB curve; on a scene that is mostly black, no odd pair stands in its way."""
+    image = np.clip(mistaken.render(SCENES[name], (), WIDTH, HEIGHT), 0, 1)
+    grade = check(name, np.rint(255 * image ** (1 / 2.2)).astype(np.uint8), srgb)
+    assert grade.mistake.name == ("gamma" if srgb else "srgb-applied") and grade.mistake.explained > 0.95
+    assert srgb or "a gamma of 2.2" in grade.mistake.title
+
+
+def test_bounces_are_counted_as_the_scene_asks(check):
+    """A student who was to follow 8 is not told another number, however few of them matter."""
+    image = mistaken.render(replace(SCENES["course-6"], bounces=1), (), WIDTH, HEIGHT)
+    assert "(1 instead of 8)" in check("course-6", mistaken.store(image)).mistake.title
+
+
 PAIRS = [
     ("falloff", "flipped", "a"), ("lobe", "mirror-added", "a"), ("acne", "falloff", "a"),
     ("half-pixel", "falloff", "c"), ("fewer", "light-missing", "c"),

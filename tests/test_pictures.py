@@ -88,8 +88,8 @@ def test_jpeg_may_lose_what_jpeg_loses(tmp_path, quality, mode):
     expected = picture.encoding.encode(image)
     allowed = picture.encoding.loss(expected) + 1 / 255
     assert np.all(np.abs(picture.values - expected) <= allowed)
-    # Half a step, one step of tolerance, and where nothing is there to be lost at most one more.
-    assert allowed.min() < 2.6 / 255 and np.any(np.abs(picture.values - 0.9 * expected) > allowed)
+    # Half a step, one step of tolerance, and where nothing is there to be lost at most 1.5 more.
+    assert allowed.min() < 3.1 / 255 and np.any(np.abs(picture.values - 0.9 * expected) > allowed)
 
 
 def test_encodings():
