@@ -73,6 +73,7 @@ CURVES = {
     "srgb twice": lambda image: images.srgb(images.srgb(image)),
     "gamma": lambda image: np.clip(image, 0, 1) ** (1 / 2.2),
     "srgb forgotten": lambda image: np.clip(image, 0, 1),
+    "clamped": lambda image: np.clip(image, 0, 1),
     "wrapped": lambda image: np.mod(np.rint(255 * np.clip(image, 0, 1e6)), 256) / 255,
 }
 
@@ -121,6 +122,9 @@ def _picture(srgb: bool, integers: bool, square: bool) -> Iterator[Mistake]:
     if integers and not srgb:
         yield Mistake("wrapped", "values above 1 wrap around to dark ones", "Clamp to [0, 1] before the cast.",
                       (Change(curve="wrapped"),))  # fmt: skip
+    if not integers:
+        yield Mistake("clamped", "values above 1 are cut off", "Floating point holds any value: store it as it is.",
+                      (Change(curve="clamped"),))  # fmt: skip
     flips = [Change(flip=name, detail=name) for name in FLIPS if square or name != "rows and columns exchanged"]
     yield Mistake("flipped", "the picture is flipped", "Row 0 is the top of the picture, column 0 its left.",
                   tuple(flips))  # fmt: skip

@@ -7,7 +7,7 @@ not the other way round, since 8 bits cannot be undone.
 import io
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +139,7 @@ def _read_array(path: Path, linear: bool, size) -> Picture:
 
 def _read_integers(path: Path, linear: bool, size) -> Picture:
     image_module = _pillow()
-    jpeg = None
+    jpeg, notes = None, ()
     try:
         with warnings.catch_warnings():
             # The size is checked here, by what is wanted.
@@ -153,9 +153,11 @@ def _read_integers(path: Path, linear: bool, size) -> Picture:
                     from PIL import JpegImagePlugin
 
                     jpeg = {"qtables": file.quantization, "subsampling": JpegImagePlugin.get_sampling(file)}
+                if file.mode in ("P", "PA"):
+                    notes = ("the file has a palette, which holds 256 colours at most; save it as RGB",)
                 array = _sixteen_bits(path) if deep else _eight_bits(file)
     except image_module.UnidentifiedImageError:
-        raise PictureError(f"{path.name}: this is no picture; hand in PNG, JPEG or EXR") from None
+        raise PictureError(f"{path.name}: this is no picture, or of another kind; hand in PNG, JPEG or EXR") from None
     except image_module.DecompressionBombError:
         raise PictureError(f"{path.name}: the picture is too large to be opened") from None
     except PictureError:
@@ -163,7 +165,8 @@ def _read_integers(path: Path, linear: bool, size) -> Picture:
     except Exception as error:
         # Broken files make the decoders raise nearly anything.
         raise PictureError(f"{path.name}: the file is damaged: {_first_line(error)}") from None
-    return _integers(path, array, linear, jpeg)
+    picture = _integers(path, array, linear, jpeg)
+    return replace(picture, notes=(*picture.notes, *notes))
 
 
 def _pillow():

@@ -112,10 +112,10 @@ def test_a_class(folder):
     assert lines[0].split() == ["picture", "verdict", "score", "off", "mistake"]
     assert lines[2].split() == ["ada.png", "right", "1.00", "0.00", "%"]
     assert lines[3].startswith("bert.png") and "there are no shadows (100 %)" in lines[3]
-    assert lines[4].split()[:2] == ["carl.png", "unreadable"] and "this is no picture" in lines[4]
+    assert lines[4].split()[:2] == ["carl.png", "unreadable"] and "this is no picture, or of another kind" in lines[4]
     assert lines[5] == "1 of 3 right" and len(lines) == 6
     # Whoever handed in something else must not be forgotten.
-    assert result.stderr.splitlines() == ["Left out, since they are no pictures: class/notes.txt"]
+    assert result.stderr.splitlines() == ["Left out (not .png, .jpg, .jpeg, .exr, .ppm, .bmp, .npy): class/notes.txt"]
     files = check("class/ada.png", "class/bert.png", "class/carl.png", "scene.xml", "--linear")
     assert files.stdout == result.stdout
 
@@ -153,6 +153,7 @@ def test_pictures_that_cannot_be_read(folder):
         (("a.png", "scene.xml", "--gradescope", "empty"), "needs a file"),
         (("a.png", "scene.xml", "-D", "no=1"), "no <default> for no"),
         (("scene.xml",), "Missing argument"),
+        (("scene.xml", "a.png"), "'a.png' is a picture; the scene comes last"),
     ),
 )
 def test_bad_usage(folder, args, said):
@@ -258,7 +259,10 @@ def test_every_mistake_is_documented():
     text = (Path(__file__).parent.parent / "docs/lecturers.md").read_text()
     listed = set(re.findall(r"`([\w-]+)`", " ".join(re.findall(r"^\| (`.*?) \|", text, re.M))))
     materials = [Material("a", "phong", (0.1,), 3.0), Material("b", "blinnphong", (0.2,), 4.0)]
-    known = {"integers": True, "square": True, "lights": 2, "shadows": True, "mirror_bounces": 2, "plane": 1.0}
+    known = {"square": True, "lights": 2, "shadows": True, "mirror_bounces": 2, "plane": 1.0}
     known["bounces_asked"] = 8
-    made = {m.name for srgb in (True, False) for m in mistakes.usual(materials, srgb=srgb, **known)}
+    files = ((True, True), (False, True), (False, False))
+    made = {
+        m.name for srgb, integers in files for m in mistakes.usual(materials, srgb=srgb, integers=integers, **known)
+    }
     assert listed == made

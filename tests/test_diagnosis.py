@@ -149,6 +149,13 @@ def test_a_gamma_of_2_2(check, name, srgb):
     assert srgb or "a gamma of 2.2" in grade.mistake.title
 
 
+def test_floating_point_is_not_clamped(assignments, tmp_path):
+    """Highlights beyond 1 that a student cuts off in an array or an EXR."""
+    np.save(tmp_path / "a.npy", np.clip(mistaken.render(SCENES["course-4"], (), WIDTH, HEIGHT), 0, 1))
+    grade = assignments("course-4").check(tmp_path / "a.npy").grade
+    assert (grade.status, grade.mistake.name) == ("wrong", "clamped")
+
+
 def test_bounces_are_counted_as_the_scene_asks(check):
     """A student who was to follow 8 is not told another number, however few of them matter."""
     image = mistaken.render(replace(SCENES["course-6"], bounces=1), (), WIDTH, HEIGHT)

@@ -43,6 +43,8 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         from ..pictures import SUFFIXES
         from ..report import page
 
+        if scene.suffix.lower() in SUFFIXES:
+            raise ValueError(f"'{scene}' is a picture; the scene comes last")
         files, left_out = find(pictures, SUFFIXES)
         if folder:
             images.check_folder(folder)
@@ -76,7 +78,7 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
             gradescope.parent.mkdir(parents=True, exist_ok=True)
             report.write_gradescope(gradescope, grades, points)
     if left_out:
-        click.echo(f"Left out, since they are no pictures: {', '.join(map(str, left_out))}", err=True)
+        click.echo(f"Left out (not {', '.join(SUFFIXES)}): {', '.join(map(str, left_out))}", err=True)
     code = exit_code([grade.status for grade in grades])
     if as_json:
         said = report.json_text(assignment, grades)
