@@ -13,7 +13,14 @@ from phong_bsdf import diagnosis, grading, rendering, shading, stage
 
 WIDTH, HEIGHT = 100, 75
 
+# The second ball is behind the camera.
+HIDDEN = oracle.Scene(
+    [oracle.Sphere((0, 0, -3), 1, ks=(0.6,) * 3, p=20), oracle.Sphere((0, 0, 5), 1, p=20)],
+    [oracle.Light(0.7, (-3, 4, -1))],
+)
+
 SCENES = {
+    "hidden": HIDDEN,
     **mistaken.CLASS,
     **{f"{name}-phong": replace(scene, lobe="phong") for name, scene in mistaken.CLASS.items()},
     **{f"course-{i}": oracle.COURSE[i] for i in range(1, 7)},
@@ -205,9 +212,13 @@ def test_the_picture_of_a_mistake(assignments, check, tmp_path):
 
 
 def test_mistakes_that_look_alike_are_all_told(check):
-    """Without anything that mirrors more than once, one bounce too few is no mirrors at all."""
-    grade = check("course-3", student("course-3", "no-shadows"))
-    assert grade.mistake is None or grade.mistake.confidence <= grade.mistake.explained
+    """They share the confidence: a highlight may be missing, or a ball that nobody sees may have it."""
+    without = replace(HIDDEN, spheres=[replace(ball, ks=oracle.BLACK) for ball in HIDDEN.spheres])
+    grade = check("hidden", mistaken.store(mistaken.render(without, (), WIDTH, HEIGHT)))
+    assert grade.mistake.explained > 0.95 and any(
+        "k_s of ball-0 and of ball-1" in title for title in grade.mistake.same
+    )
+    assert grade.mistake.confidence == pytest.approx(grade.mistake.explained / (1 + len(grade.mistake.same)))
 
 
 @pytest.mark.parametrize("path", ("course/scene-4.xml", "course/scene-5.xml", "course/mirror-box.xml",
