@@ -59,6 +59,8 @@ def pytest_configure(config):
             images.check_folder(folder)
         except (ImportError, ValueError) as error:
             raise pytest.UsageError(f"--phong-report: {error}") from None
+        # A test may change the current folder.
+        config.option.phong_report = folder.absolute()
         if not hasattr(config, "workerinput"):
             config.pluginmanager.register(_Report(folder.absolute()), "phong_bsdf_report")
     if not hasattr(config, "workerinput"):
@@ -108,14 +110,23 @@ class RenderCheck:
     def __call__(self, scene, name: str | None = None, **options):
         """Render (or take the array `scene`), and compare with the reference `name`."""
         from phong_bsdf import references
+        from phong_bsdf.rendering import SceneError
 
         try:
             chosen = references.Options(**{**self.defaults, **options})
         except TypeError as error:
             raise TypeError(f"render_check: {error}") from None
+        if isinstance(scene, str | Path):
+            scene = self.scene_file(Path(scene))
         path = self.reference(name)
         if self.config.getoption("--phong-update-references"):
-            references.update(path, scene, chosen)
+            refusal = ""
+            try:
+                references.update(path, scene, chosen)
+            except ValueError as error:
+                refusal = str(error)
+            if refusal:
+                self.fail(path, refusal, None)
             self.node.user_properties.append(("phong_reference", str(references.files(path)[0])))
             return
         outcome, refusal = None, ""
@@ -123,6 +134,8 @@ class RenderCheck:
             outcome = references.check(path, scene, chosen)
         except references.NoReference as error:
             refusal = f"{error}. Make it with: {self.command()}"
+        except SceneError as error:
+            refusal = str(error)
         except ValueError as error:
             refusal = f"{error}. If the new picture is right, run: {self.command()}"
         if outcome is None:
@@ -132,10 +145,16 @@ class RenderCheck:
             accept = f"If the new picture is right, run: {self.command()}"
             self.fail(path, f"{outcome.verdict.words}\nReference: {references.files(path)[0]}\n{accept}", outcome)
 
+    def scene_file(self, path: Path) -> Path:
+        """A scene's file: beside the test file, like its reference, or else in the current folder."""
+        beside = self.node.path.parent / path
+        return beside if beside.is_file() else path
+
     def reference(self, name: str | None) -> Path:
         """Where the reference is, without suffix: beside the test file, the same for all variants."""
         if name is None:
-            name = self.node.originalname
+            classes = [node.name for node in self.node.listchain() if isinstance(node, pytest.Class)]
+            name = ".".join([*classes, getattr(self.node, "originalname", None) or self.node.name])
             values = getattr(self.node, "callspec", None)
             identity = values.id.split("-") if values else []
             identity = [part for part in identity if part != self.variant]
@@ -143,7 +162,7 @@ class RenderCheck:
             name += f"-{self.names.count(name) + 1}" * (name in self.names)
         self.names.append(name)
         folder = self.node.path.parent / self.config.getini("phong_references") / self.node.path.stem
-        return folder / re.sub(r"[^\w.-]+", "_", name)
+        return folder / _file_name(name)
 
     def command(self) -> str:
         return f"pytest --phong-update-references {shlex.quote(self.node.nodeid)}"
@@ -153,7 +172,9 @@ class RenderCheck:
         if folder is not None and outcome is not None:
             from phong_bsdf.report import render_check
 
-            page = re.sub(r"[^\w.-]+", "_", f"{path.parent.name}-{path.name}-{self.variant}.html")
+            # Of the test, not of its reference, which others may share.
+            test = re.sub(r"\.py(?=::)|\]$", "", self.node.nodeid)
+            page = _file_name(re.sub(r"::|/|\[", "-", test)) + ".html"
             folder.mkdir(parents=True, exist_ok=True)
             render_check.write(folder / page, self.node.nodeid, path.name, outcome)
             words += f"\nPage: {folder / page}"
@@ -199,8 +220,14 @@ class _Written:
     def pytest_terminal_summary(self, terminalreporter):
         if self.paths:
             terminalreporter.section("references written")
-            for path in sorted(self.paths):
+            # Variants share one.
+            for path in sorted(set(self.paths)):
                 terminalreporter.write_line(path)
+
+
+def _file_name(name: str) -> str:
+    """A name as one that every file system takes; what differs stays different."""
+    return re.sub(r"[^\w.-]", lambda match: f"_{ord(match[0]):02x}", name)
 
 
 def _default_variants(config) -> list[str]:

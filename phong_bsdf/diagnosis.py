@@ -112,7 +112,8 @@ class Diagnostician:
         return mistakes.usual(
             self.stage.materials, srgb=self.encoding.srgb, integers=self.encoding.step > 0,
             square=self.height == self.width, lights=self.stage.lights.count, shadows=integrator.shadows,
-            mirror_bounces=min(len(hits.bounces), self.stage.most_hits - 1) if mirrors else 0, plane=near,
+            mirror_bounces=min(len(hits.bounces), self.stage.most_hits - 1) if mirrors else 0,
+            bounces_asked=self.stage.most_hits - 1 if integrator.depth > 0 else None, plane=near,
         )  # fmt: skip
 
     def explain(self, picture: Picture, allowed: np.ndarray) -> Diagnosis:
@@ -126,9 +127,9 @@ class Diagnostician:
         if explained < NEARLY_ALL:
             pair = self._best_pair(judge, picture, allowed)
             # The second has to explain most of what the first leaves.
-            if pair and pair.explained >= _enough(pair) and 1 - pair.explained <= 0.5 * (1 - explained):
+            if pair and judge.names(pair) and 1 - pair.explained <= 0.5 * (1 - explained):
                 best, singles = pair, [pair, *singles]
-        named = best if best and best.explained >= _enough(best) and judge.shows(best.changes) else None
+        named = best if best and judge.names(best) else None
         return Diagnosis(named, tuple(singles))
 
     def picture(self, explanation: Explanation, handed_in: np.ndarray) -> np.ndarray:
@@ -196,6 +197,10 @@ class _Judge:
     def explained(self, changes: Sequence[Change]) -> float:
         """The part of what is wrong that these changes explain; below 0 where they make it worse."""
         return 1 - self.error(changes) / self.wrong if self.wrong else 0.0
+
+    def names(self, explanation: Explanation) -> bool:
+        """Whether it explains enough to be told."""
+        return explanation.explained >= _enough(explanation) and self.shows(explanation.changes)
 
     def shows(self, changes: Sequence[Change]) -> bool:
         """Whether the changes also explain what the picture shows besides its most common colour."""

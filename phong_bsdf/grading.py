@@ -117,7 +117,8 @@ class Assignment:
         try:
             picture = pictures.read(file, linear=self.options.linear, size=self.size)
         except (PictureError, OSError, MemoryError) as error:
-            words = f"{str(error) or 'the picture does not fit into memory'}."
+            words = str(error).removeprefix(f"{Path(file).name}: ").removeprefix(f"{file}: ")
+            words = f"{words or 'the picture does not fit into memory'}."
             return Checked(Grade(name, UNREADABLE, 0.0, words, None, None, (), False, ()))
         return self.check_picture(name, picture)
 

@@ -71,7 +71,9 @@ def unflip(image: np.ndarray, flip: str) -> np.ndarray:
 CURVES = {
     "srgb applied": images.srgb,
     "srgb twice": lambda image: images.srgb(images.srgb(image)),
+    "gamma": lambda image: np.clip(image, 0, 1) ** (1 / 2.2),
     "srgb forgotten": lambda image: np.clip(image, 0, 1),
+    "clamped": lambda image: np.clip(image, 0, 1),
     "wrapped": lambda image: np.mod(np.rint(255 * np.clip(image, 0, 1e6)), 256) / 255,
 }
 
@@ -85,17 +87,18 @@ def usual(
     lights: int,
     shadows: bool,
     mirror_bounces: int,
+    bounces_asked: int | None,
     plane: float,
 ) -> list[Mistake]:
     """The mistakes that can be made with a scene, the simplest first.
 
-    `srgb`, `integers`: how the picture is to be stored; `mirror_bounces`: how often its rays are mirrored; `plane`:
-    distance of the camera's image plane.
+    `srgb`, `integers`: how the picture is to be stored; `mirror_bounces`: how often its rays are mirrored, and
+    `bounces_asked`: how often they are to be, None for without end; `plane`: distance of the camera's image plane.
     """
     found = [*_picture(srgb, integers, square), *_vectors(plane), *_lights(lights)]
     found += _shadows() if shadows else []
     found += _highlights(materials)
-    found += _mirrors(mirror_bounces) if mirror_bounces else []
+    found += _mirrors(mirror_bounces, bounces_asked) if mirror_bounces else []
     return [*found, *_swaps(materials)]
 
 
@@ -107,14 +110,21 @@ def _picture(srgb: bool, integers: bool, square: bool) -> Iterator[Mistake]:
     if srgb:
         yield Mistake("srgb-forgotten", "the sRGB curve is missing", "Encode with the sRGB curve before storing.",
                       (Change(curve="srgb forgotten"),))  # fmt: skip
+        yield Mistake("gamma", "a gamma of 2.2 is used for the sRGB curve",
+                      "Use 12.92 x up to 0.0031308, above 1.055 x^(1/2.4) - 0.055.",
+                      (Change(curve="gamma"),))  # fmt: skip
         yield Mistake("srgb-twice", "the sRGB curve is applied twice", "Encode once; perhaps a library did already.",
                       (Change(curve="srgb twice"),))  # fmt: skip
     else:
         yield Mistake("srgb-applied", "the sRGB curve is applied to a picture that should be linear",
-                      "Store 255 times the value, without a gamma curve.", (Change(curve="srgb applied"),))  # fmt: skip
+                      "Store 255 times the value, without a gamma curve.",
+                      (Change(curve="srgb applied"), Change(curve="gamma", detail="a gamma of 2.2")))  # fmt: skip
     if integers and not srgb:
         yield Mistake("wrapped", "values above 1 wrap around to dark ones", "Clamp to [0, 1] before the cast.",
                       (Change(curve="wrapped"),))  # fmt: skip
+    if not integers:
+        yield Mistake("clamped", "values above 1 are cut off", "Floating point holds any value: store it as it is.",
+                      (Change(curve="clamped"),))  # fmt: skip
     flips = [Change(flip=name, detail=name) for name in FLIPS if square or name != "rows and columns exchanged"]
     yield Mistake("flipped", "the picture is flipped", "Row 0 is the top of the picture, column 0 its left.",
                   tuple(flips))  # fmt: skip
@@ -180,13 +190,14 @@ def _highlights(materials: Sequence[Material]) -> Iterator[Mistake]:
                    cosine=True)  # fmt: skip
 
 
-def _mirrors(bounces: int) -> Iterator[Mistake]:
+def _mirrors(bounces: int, asked: int | None) -> Iterator[Mistake]:
     yield _one("mirror-added", "the mirror is added, not blended: (1 - k_m) is missing", "Use k_m L_r + (1 - k_m) L.",
                mirror="added")  # fmt: skip
     yield _one("mirror-full", "the mirror is added in full, without k_m", "Use k_m L_r + (1 - k_m) L.", mirror="full")
     yield _one("highlight-unblended", "(1 - k_m) is missing from the highlight",
                "(1 - k_m) multiplies diffuse part and highlight.", mirror="highlight")  # fmt: skip
-    fewer = (Change({"bounces": n}, detail=f"{n} instead of {bounces}") for n in range(bounces - 1, -1, -1))
+    instead = "" if asked is None else f" instead of {asked}"
+    fewer = (Change({"bounces": n}, detail=f"{n}{instead}") for n in range(bounces - 1, -1, -1))
     yield Mistake("too-few-bounces", "rays are mirrored too few times", "Follow mirrors as often as the scene asks.",
                   tuple(fewer))  # fmt: skip
     yield _one("dark-end", "after the last bounce the mirrored part is black",

@@ -66,12 +66,18 @@ def files(path: Path) -> tuple[Path, Path]:
 
 
 def update(path: Path, scene, options: Options) -> None:
-    """Render a scene (a file, a dictionary, a `mitsuba.Scene`) or take a picture (an array) as the new reference."""
+    """Render a scene (a file, a dictionary, a `mitsuba.Scene`) or take a picture (an array) as the new reference.
+
+    ValueError where it cannot be one.
+    """
     picture, variance = files(path)
-    picture.parent.mkdir(parents=True, exist_ok=True)
     render = _renderer(scene, options)
     metadata = {"phong_bsdf": __version__, "variant": mi.variant() or ""}
     first = render(FIRST_SEED, 1)
+    broken = compare(first, first)
+    if not broken.passed:
+        raise ValueError(f"this cannot be a reference. {broken.words}")
+    picture.parent.mkdir(parents=True, exist_ok=True)
     if not _is_noisy(render, first):
         variance.unlink(missing_ok=True)
         images.write(picture, first, metadata=metadata)
@@ -109,6 +115,8 @@ def check(path: Path, scene, options: Options) -> Outcome:
 def _renderer(scene, options: Options):
     """A function of a seed, and of the number of parts that the samples are split in, that renders the scene."""
     if isinstance(scene, np.ndarray):
+        if scene.ndim not in (2, 3):
+            raise ValueError(f"a picture is an array (height, width, channels), not one of shape {scene.shape}")
         image = scene if scene.ndim == 3 else scene[..., None]
         return lambda seed, parts: image
     path = Path(scene) if isinstance(scene, str | Path) else Path("scene")

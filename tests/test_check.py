@@ -112,10 +112,25 @@ def test_a_class(folder):
     assert lines[0].split() == ["picture", "verdict", "score", "off", "mistake"]
     assert lines[2].split() == ["ada.png", "right", "1.00", "0.00", "%"]
     assert lines[3].startswith("bert.png") and "there are no shadows (100 %)" in lines[3]
-    assert lines[4].split()[:2] == ["carl.png", "unreadable"] and "this is no picture" in lines[4]
+    assert lines[4].split()[:2] == ["carl.png", "unreadable"] and "this is no picture, or of another kind" in lines[4]
     assert lines[5] == "1 of 3 right" and len(lines) == 6
+    # Whoever handed in something else must not be forgotten.
+    assert result.stderr.splitlines() == ["Left out (not .png, .jpg, .jpeg, .exr, .ppm, .bmp, .npy): class/notes.txt"]
     files = check("class/ada.png", "class/bert.png", "class/carl.png", "scene.xml", "--linear")
     assert files.stdout == result.stdout
+
+
+def test_nearly_right_is_not_right(folder):
+    """A picture with one wrong pixel of many has neither full score nor no pixels off, in any form."""
+    assert CliRunner().invoke(main, ["render", "scene.xml", "-o", "a.png", "--size", "300x220"]).exit_code == 0
+    image = np.array(Image.open("a.png"))
+    image[0, 0] = 255
+    Image.fromarray(image).save("a.png")
+    args = ("scene.xml", "--size", "300x220", "--edges", 0, "--html", "out", "--gradescope", "r.json", "--points", 10)
+    assert "a.png: wrong, score 0.99\n" in check("a.png", *args).stdout
+    document = json.loads((folder / "r.json").read_text())
+    assert document["tests"][0]["score"] == document["score"] == 9.99
+    assert "<td>0.99</td><td>&lt; 0.01 %</td>" in (folder / "out/index.html").read_text()
 
 
 def test_pictures_that_cannot_be_read(folder):
@@ -123,7 +138,7 @@ def test_pictures_that_cannot_be_read(folder):
     Image.fromarray(np.zeros((5, 7, 3), np.uint8)).save("small.png")
     result = check("small.png", "scene.xml")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "small.png: the picture is 7 x 5 pixels and should be 60 x 44" in result.stderr
+    assert "small.png: unreadable: the picture is 7 x 5 pixels and should be 60 x 44" in result.stderr
     assert check("missing.png", "scene.xml").exit_code == 2
 
 
@@ -138,6 +153,7 @@ def test_pictures_that_cannot_be_read(folder):
         (("a.png", "scene.xml", "--gradescope", "empty"), "needs a file"),
         (("a.png", "scene.xml", "-D", "no=1"), "no <default> for no"),
         (("scene.xml",), "Missing argument"),
+        (("scene.xml", "a.png"), "'a.png' is a picture; the scene comes last"),
     ),
 )
 def test_bad_usage(folder, args, said):
@@ -243,6 +259,10 @@ def test_every_mistake_is_documented():
     text = (Path(__file__).parent.parent / "docs/lecturers.md").read_text()
     listed = set(re.findall(r"`([\w-]+)`", " ".join(re.findall(r"^\| (`.*?) \|", text, re.M))))
     materials = [Material("a", "phong", (0.1,), 3.0), Material("b", "blinnphong", (0.2,), 4.0)]
-    known = {"integers": True, "square": True, "lights": 2, "shadows": True, "mirror_bounces": 2, "plane": 1.0}
-    made = {m.name for srgb in (True, False) for m in mistakes.usual(materials, srgb=srgb, **known)}
+    known = {"square": True, "lights": 2, "shadows": True, "mirror_bounces": 2, "plane": 1.0}
+    known["bounces_asked"] = 8
+    files = ((True, True), (False, True), (False, False))
+    made = {
+        m.name for srgb, integers in files for m in mistakes.usual(materials, srgb=srgb, integers=integers, **known)
+    }
     assert listed == made

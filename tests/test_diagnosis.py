@@ -13,7 +13,14 @@ from phong_bsdf import diagnosis, grading, rendering, shading, stage
 
 WIDTH, HEIGHT = 100, 75
 
+# The second ball is behind the camera.
+HIDDEN = oracle.Scene(
+    [oracle.Sphere((0, 0, -3), 1, ks=(0.6,) * 3, p=20), oracle.Sphere((0, 0, 5), 1, p=20)],
+    [oracle.Light(0.7, (-3, 4, -1))],
+)
+
 SCENES = {
+    "hidden": HIDDEN,
     **mistaken.CLASS,
     **{f"{name}-phong": replace(scene, lobe="phong") for name, scene in mistaken.CLASS.items()},
     **{f"course-{i}": oracle.COURSE[i] for i in range(1, 7)},
@@ -140,6 +147,28 @@ def test_another_picture_is_none_of_these(check, name):
         assert grade.status == "wrong" and grade.mistake is None, (what, grade.mistake)
 
 
+@pytest.mark.parametrize(("name", "srgb"), (("course-3", False), ("course-4", False), ("course-4", True)))
+def test_a_gamma_of_2_2(check, name, srgb):
+    """What many use for the sRGB curve; on a scene that is mostly black, no odd pair stands in its way."""
+    image = np.clip(mistaken.render(SCENES[name], (), WIDTH, HEIGHT), 0, 1)
+    grade = check(name, np.rint(255 * image ** (1 / 2.2)).astype(np.uint8), srgb)
+    assert grade.mistake.name == ("gamma" if srgb else "srgb-applied") and grade.mistake.explained > 0.95
+    assert srgb or "a gamma of 2.2" in grade.mistake.title
+
+
+def test_floating_point_is_not_clamped(assignments, tmp_path):
+    """Highlights beyond 1 that a student cuts off in an array or an EXR."""
+    np.save(tmp_path / "a.npy", np.clip(mistaken.render(SCENES["course-4"], (), WIDTH, HEIGHT), 0, 1))
+    grade = assignments("course-4").check(tmp_path / "a.npy").grade
+    assert (grade.status, grade.mistake.name) == ("wrong", "clamped")
+
+
+def test_bounces_are_counted_as_the_scene_asks(check):
+    """A student who was to follow 8 is not told another number, however few of them matter."""
+    image = mistaken.render(replace(SCENES["course-6"], bounces=1), (), WIDTH, HEIGHT)
+    assert "(1 instead of 8)" in check("course-6", mistaken.store(image)).mistake.title
+
+
 PAIRS = [
     ("falloff", "flipped", "a"), ("lobe", "mirror-added", "a"), ("acne", "falloff", "a"),
     ("half-pixel", "falloff", "c"), ("fewer", "light-missing", "c"),
@@ -183,9 +212,13 @@ def test_the_picture_of_a_mistake(assignments, check, tmp_path):
 
 
 def test_mistakes_that_look_alike_are_all_told(check):
-    """Without anything that mirrors more than once, one bounce too few is no mirrors at all."""
-    grade = check("course-3", student("course-3", "no-shadows"))
-    assert grade.mistake is None or grade.mistake.confidence <= grade.mistake.explained
+    """They share the confidence: a highlight may be missing, or a ball that nobody sees may have it."""
+    without = replace(HIDDEN, spheres=[replace(ball, ks=oracle.BLACK) for ball in HIDDEN.spheres])
+    grade = check("hidden", mistaken.store(mistaken.render(without, (), WIDTH, HEIGHT)))
+    assert grade.mistake.explained > 0.95 and any(
+        "k_s of ball-0 and of ball-1" in title for title in grade.mistake.same
+    )
+    assert grade.mistake.confidence == pytest.approx(grade.mistake.explained / (1 + len(grade.mistake.same)))
 
 
 @pytest.mark.parametrize("path", ("course/scene-4.xml", "course/scene-5.xml", "course/mirror-box.xml",

@@ -44,7 +44,8 @@ def test_palette_grey_and_one_bit(tmp_path, pixels):
     """What looks the same is the same: a palette, a grey picture, black and white."""
     few = pixels // 128 * 255
     Image.fromarray(few).convert("P", palette=Image.Palette.ADAPTIVE).save(tmp_path / "palette.png")
-    assert np.array_equal(read(tmp_path / "palette.png").values, few / 255)
+    palette = read(tmp_path / "palette.png")
+    assert np.array_equal(palette.values, few / 255) and "256 colours" in palette.notes[0]
     Image.fromarray(pixels[..., 0]).save(tmp_path / "grey.png")
     assert np.array_equal(read(tmp_path / "grey.png").values, np.repeat(pixels[..., :1], 3, axis=2) / 255)
     Image.fromarray(few[..., 0]).convert("1").save(tmp_path / "bit.png")
@@ -88,8 +89,8 @@ def test_jpeg_may_lose_what_jpeg_loses(tmp_path, quality, mode):
     expected = picture.encoding.encode(image)
     allowed = picture.encoding.loss(expected) + 1 / 255
     assert np.all(np.abs(picture.values - expected) <= allowed)
-    # Half a step, one step of tolerance, and where nothing is there to be lost at most one more.
-    assert allowed.min() < 2.6 / 255 and np.any(np.abs(picture.values - 0.9 * expected) > allowed)
+    # Half a step, one step of tolerance, and where nothing is there to be lost at most 1.5 more.
+    assert allowed.min() < 3.1 / 255 and np.any(np.abs(picture.values - 0.9 * expected) > allowed)
 
 
 def test_encodings():

@@ -137,6 +137,54 @@ def test_everything_that_is_a_scene(project):
     project(test=SCENES).assert_outcomes(passed=4)
 
 
+APART = """
+import numpy as np, pytest
+
+class TestDark:
+    def test_grey(self, render_check):
+        render_check(np.full((4, 5), 0.25))
+
+class TestBright:
+    def test_grey(self, render_check):
+        render_check(np.full((4, 5), 0.75))
+
+@pytest.mark.parametrize("sign", ("<", ">"))
+def test_sign(render_check, sign):
+    render_check(np.full((4, 5), ord(sign) / 100))
+"""
+
+
+def test_each_test_has_a_reference_of_its_own(project):
+    """Methods of the same name in two classes, too, and parameters that cannot be part of a file's name."""
+    project("--phong-update-references", test=APART).assert_outcomes(passed=4)
+    names = sorted(p.name for p in (project.path / "references/test_it").iterdir())
+    assert names == ["TestBright.test_grey.exr", "TestDark.test_grey.exr", "test_sign-_3c.exr", "test_sign-_3e.exr"]
+    project(test=APART).assert_outcomes(passed=4)
+
+
+BROKEN = """
+import numpy as np
+
+def test_hole(render_check):
+    render_check(np.array([[[0.5], [np.nan]]]))
+
+def test_missing(render_check):
+    render_check("no.xml")
+
+def test_line(render_check):
+    render_check(np.zeros(5))
+"""
+
+
+def test_what_cannot_be_a_reference(project):
+    """Is not written; the test fails and says why, without an advice to write it."""
+    result = project("--phong-update-references", test=BROKEN)
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(["*1 pixel of the picture is not finite*", "*no.xml: there is no such file*",
+                                 "*not one of shape (5,)*"])  # fmt: skip
+    assert not (project.path / "references").exists()
+
+
 @pytest.mark.slow
 def test_noise(project):
     """A path traced scene has a mean and a variance; other seeds pass, a brightness of 6 % more does not."""
@@ -153,7 +201,7 @@ def test_noise(project):
     result = project("--phong-report", "out", test=test.replace("KD", "0.85").replace("SEED", "0"))
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*tiles of 16 x 16 pixels differ by more than noise*brighter*"])
-    assert "differ by more than noise" in (project.path / "out/test_it-test_noisy-llvm_ad_rgb.html").read_text()
+    assert "differ by more than noise" in (project.path / "out/test_it-test_noisy.html").read_text()
 
 
 @pytest.mark.slow
@@ -168,7 +216,7 @@ def test_reports_of_all_workers(project):
     index = (project.path / "out/index.html").read_text()
     assert "2 render checks failed" in index and "Of 3 tests" in index
     for kd in ("0.5", "0.8"):
-        page = f"test_it-test_ball-{kd}-llvm_ad_rgb.html"
+        page = f"test_it-test_ball-{kd}.html"
         assert f'href="{page}"' in index
         text = (project.path / "out" / page).read_text()
         assert all(f"<figcaption>{name}</figcaption>" in text for name in ("expected", "actual", "difference", "error"))
@@ -176,7 +224,7 @@ def test_reports_of_all_workers(project):
     assert len(list((project.path / "out").iterdir())) == 3
     result = project("--phong-report", "out", test=test.replace("CHANGE", "0"))
     result.assert_outcomes(passed=3)
-    assert "No failures" in (project.path / "out/index.html").read_text()
+    assert "No render check failed" in (project.path / "out/index.html").read_text()
 
 
 VARIANTS = """
@@ -274,6 +322,25 @@ def test_bad_references(project, broken, said):
     result = project(test=BALL.format(""))
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([said])
+
+
+def test_folders_are_those_of_the_test(project):
+    """A scene lies beside its test file, and the report where pytest was started, whatever folder is current."""
+    inner = project.path / "inner"
+    inner.mkdir()
+    (project.path / "scene.xml").rename(inner / "scene.xml")
+    test = inner / "test_inner.py"
+    test.write_text(BALL.format("") + "\ndef test_elsewhere(render_check, tmp_path, monkeypatch):\n"
+                    "    monkeypatch.chdir(tmp_path)\n    render_check('scene.xml', name='test_ball')\n")  # fmt: skip
+    project("--phong-update-references").assert_outcomes(passed=2)
+    (inner / "scene.xml").write_text(SCENE.replace('value="0.8"', 'value="0.9"'))
+    project("--phong-report", "out").assert_outcomes(failed=2)
+    pages = sorted(p.name for p in (project.path / "out").iterdir())
+    assert pages == ["index.html", "inner-test_inner-test_ball.html", "inner-test_inner-test_elsewhere.html"]
+    (inner / "scene.xml").unlink()
+    result = project()
+    result.stdout.fnmatch_lines(["test_ball: scene.xml: there is no such file"])
+    assert "--phong-update-references" not in result.stdout.str()
 
 
 def test_a_report_that_cannot_be_written(project):

@@ -43,7 +43,9 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         from ..pictures import SUFFIXES
         from ..report import page
 
-        files = find(pictures, SUFFIXES)
+        if scene.suffix.lower() in SUFFIXES:
+            raise ValueError(f"'{scene}' is a picture; the scene comes last")
+        files, left_out = find(pictures, SUFFIXES)
         if folder:
             images.check_folder(folder)
             page.check_installed()
@@ -75,6 +77,8 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         if gradescope:
             gradescope.parent.mkdir(parents=True, exist_ok=True)
             report.write_gradescope(gradescope, grades, points)
+    if left_out:
+        click.echo(f"Left out (not {', '.join(SUFFIXES)}): {', '.join(map(str, left_out))}", err=True)
     code = exit_code([grade.status for grade in grades])
     if as_json:
         said = report.json_text(assignment, grades)
@@ -84,18 +88,20 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
     sys.exit(code)
 
 
-def find(paths, suffixes) -> list[Path]:
-    """The files, and those of the folders."""
-    found = []
+def find(paths, suffixes) -> tuple[list[Path], list[Path]]:
+    """The files, and those of the folders; and what else is in the folders."""
+    found, left_out = [], []
     for path in paths:
         if not path.is_dir():
             found.append(path)
             continue
-        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
+        seen = sorted(p for p in path.iterdir() if not p.name.startswith("."))
+        inside = [p for p in seen if p.suffix.lower() in suffixes]
+        left_out += [p for p in seen if p not in inside]
         if not inside:
             raise ValueError(f"'{path}': there is no picture in this folder ({', '.join(suffixes)})")
         found += inside
-    return found
+    return found, left_out
 
 
 def exit_code(statuses: list[str]) -> int:

@@ -1,5 +1,6 @@
 """Grades as text, a table, JSON, Gradescope's results and HTML pages."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,8 +27,9 @@ NONE_OF_THESE = "None of the usual mistakes explains the picture."
 
 def text(grade: Grade) -> str:
     """What a student should read."""
-    lines = [f"{grade.picture}: {grade.status}" + (f", score {grade.score:.2f}" if grade.status != UNREADABLE else "")]
-    lines.append(f"  {grade.words}")
+    if grade.status == UNREADABLE:
+        return f"{grade.picture}: {grade.status}: {grade.words}"
+    lines = [f"{grade.picture}: {grade.status}, score {score(grade)}", f"  {grade.words}"]
     if grade.mistake:
         confidence = percent(grade.mistake.confidence)
         lines.append(f"  {certainty(grade.mistake)}: {grade.mistake.title} (confidence {confidence}).")
@@ -53,12 +55,23 @@ def percent(share: float) -> str:
     return f"{min(round(100 * share), 99) if share < 0.9995 else 100} %"
 
 
+def score(grade: Grade, points: float = 1.0) -> str:
+    """Of `points`, with two digits; what is not right does not have all of them."""
+    return f"{points if grade.status == RIGHT else _floor(points * grade.score):.2f}"
+
+
+def off(grade: Grade) -> str:
+    """The part of the pixels that is off; a few of many are not 0."""
+    if grade.pixels_off is None:
+        return "-"
+    return "< 0.01 %" if 0 < grade.pixels_off < 1e-4 else f"{100 * grade.pixels_off:.2f} %"
+
+
 def table(grades: Sequence[Grade]) -> str:
     """One line a picture."""
     rows = []
     for grade in grades:
-        off = "-" if grade.pixels_off is None else f"{100 * grade.pixels_off:.2f} %"
-        rows.append((grade.picture, grade.status, f"{grade.score:.2f}", off))
+        rows.append((grade.picture, grade.status, score(grade), off(grade)))
     lines = tables.text_table(("picture", "verdict", "score", "off"), rows).splitlines()
     mistakes = ["mistake", "-------", *map(_short, grades)]
     lines = [f"{line}  {mistake}".rstrip() for line, mistake in zip(lines, mistakes, strict=True)]
@@ -77,7 +90,7 @@ def write_gradescope(path: Path, grades: Sequence[Grade], points: float) -> None
     each = points / len(grades)
     tests = [
         {
-            "name": Path(grade.picture).name, "number": str(number), "score": round(each * grade.score, 2),
+            "name": Path(grade.picture).name, "number": str(number), "score": float(score(grade, each)),
             "max_score": round(each, 2), "status": "passed" if grade.status == RIGHT else "failed",
             "output": text(grade), "output_format": "text", "visibility": "visible",
         }
@@ -86,8 +99,8 @@ def write_gradescope(path: Path, grades: Sequence[Grade], points: float) -> None
     right = sum(grade.status == RIGHT for grade in grades)
     summary = f"{right} of {len(grades)} picture{'' if len(grades) == 1 else 's'} right."
     # The sum of rounded parts is not the total.
-    score = round(each * sum(grade.score for grade in grades), 2)
-    replace_file(path, tables.json_text({"score": score, "output": summary, "output_format": "text", "tests": tests}))
+    total = points if right == len(grades) else _floor(each * sum(grade.score for grade in grades))
+    replace_file(path, tables.json_text({"score": total, "output": summary, "output_format": "text", "tests": tests}))
 
 
 def write_page(folder: Path, assignment: Assignment, checked: Checked, name: str) -> None:
@@ -95,7 +108,7 @@ def write_page(folder: Path, assignment: Assignment, checked: Checked, name: str
     grade = checked.grade
     page.write(
         Path(folder) / f"{name}.html", "check.html", title=f"{Path(grade.picture).name}: {grade.status}",
-        summary=f"{assignment.name}, {assignment.size[0]} × {assignment.size[1]}, score {grade.score:.2f}",
+        summary=f"{assignment.name}, {assignment.size[0]} × {assignment.size[1]}, score {score(grade)}",
         context=tables.context(), grade=grade, percent=percent, certainty=certainty, none_of_these=NONE_OF_THESE,
         heat_scale=tables.number(HEAT), pictures=_pictures(assignment, checked),
     )  # fmt: skip
@@ -132,7 +145,8 @@ def write_index(folder: Path, assignment: Assignment, grades: Sequence[Grade], n
         path, "check_index.html", title=f"{assignment.name}: {right} of {len(grades)} right",
         summary=f"{assignment.size[0]} × {assignment.size[1]}, tolerance {assignment.options.tolerance:g} of 255, "
         f"edges {100 * assignment.options.edges:g} %",
-        context=tables.context(), rows=list(zip(grades, names, map(_short, grades), strict=True)),
+        context=tables.context(),
+        rows=[(g, name, score(g), off(g), _short(g)) for g, name in zip(grades, names, strict=True)],
     )  # fmt: skip
     return path
 
@@ -159,11 +173,17 @@ def page_names(files: Sequence[Path]) -> list[str]:
     return names
 
 
+def _floor(number: float) -> float:
+    """To two digits, never up."""
+    # Sums like 9.999999999999998 are meant to be 10.
+    return math.floor(100 * number + 1e-6) / 100
+
+
 def _short(grade: Grade) -> str:
     if grade.status == RIGHT:
         return ""
     if grade.status == UNREADABLE:
-        return grade.words.split(": ", 1)[-1].rstrip(".")
+        return grade.words.rstrip(".")
     if grade.mistake:
         return f"{grade.mistake.title} ({percent(grade.mistake.confidence)})"
     return "none of the usual" if grade.diagnosed else "not diagnosed"

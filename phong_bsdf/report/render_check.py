@@ -31,7 +31,7 @@ def write(path: Path, test: str, name: str, outcome: Outcome) -> None:
 
 def write_index(path: Path, failures: Sequence[tuple[str, str, str]], tests: int) -> None:
     """The list of failures: (test, words, name of the page or nothing)."""
-    title = f"{len(failures)} render check{'' if len(failures) == 1 else 's'} failed" if failures else "No failures"
+    title = f"{len(failures) or 'No'} render check{'' if len(failures) < 2 else 's'} failed"
     page.write(
         Path(path), "render_check_index.html", title=title, summary=f"Of {tests} tests that ran.",
         context=tables.context(), failures=failures,
