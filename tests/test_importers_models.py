@@ -602,3 +602,24 @@ def test_without_tinyobjloader(tmp_path, monkeypatch):
     (tmp_path / "a.obj").write_text(square())
     with pytest.raises(ConversionError, match=r"pip install 'phong-bsdf\[import\]'"):
         convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
+
+
+def test_a_failed_conversion_keeps_the_earlier_one(tmp_path, monkeypatch):
+    """Files of an earlier conversion to the same name are replaced together, or not at all."""
+    model = "v 0 0 0\nv 1 0 0\nv 0 1 {}\nusemtl a\nf 1 2 3\nusemtl b\nf 3 2 1\n"
+    (tmp_path / "a.obj").write_text(model.format(0))
+    convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert len(before) == 4
+    (tmp_path / "a.obj").write_text(model.format(7))
+    write, written = meshes.write_ply, []
+
+    def failing(path, mesh):
+        written.append(path)
+        write(path, mesh) if len(written) == 1 else (_ for _ in ()).throw(OSError("the disk is full"))
+
+    monkeypatch.setattr(meshes, "write_ply", failing)
+    with pytest.raises(OSError, match="the disk is full"):
+        convert_model(tmp_path / "a.obj", tmp_path / "new.xml")
+    del before[tmp_path / "a.obj"]
+    assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file() and p.name != "a.obj"}

@@ -7,6 +7,8 @@ default the folder of the input. Absolute paths, addresses and links that lead o
 import contextlib
 import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -26,6 +28,7 @@ class Files:
         if not self.source.resolve().is_relative_to(self.root):
             raise ConversionError(f"{self.source}: the input is not in the root folder '{self.root}'")
         self.written: list[Path] = []
+        self._staging: Path | None = None
         self._named = {self.source.resolve()}
 
     def find(self, name: str, beside: Path, place) -> Path:
@@ -59,34 +62,37 @@ class Files:
 
     def relative(self, path: Path) -> str:
         """`path` as the new scene names it. (A bare $ would be a parameter.)"""
+        if self._staging and path.parent == self._staging:
+            path = self._folder.resolve() / path.name
         return Path(os.path.relpath(path, self.output.parent.resolve())).as_posix().replace("$", "\\$")
 
     def beside_output(self, stem: str, suffix: str) -> Path:
-        """A new file in the folder of files that belong to the new scene, `NAME_files` for `NAME.xml`; made if need be.
+        """Where to write a file that will be in the folder `NAME_files` of the new scene `NAME.xml`.
 
         `stem` may be any text. Two calls never give the same file, and none gives a file that the input names.
         """
-        folder = self._folder
-        folder.mkdir(exist_ok=True)
         clean = re.sub(r"[^\w.-]+", "-", stem).strip("-.")[:60] or "file"
-        path, number = folder / f"{clean}{suffix}", 1
+        path, number = self._folder / f"{clean}{suffix}", 1
         while str(path).lower() in {str(p).lower() for p in self.written} or path.resolve() in self._named:
             number += 1
-            path = folder / f"{clean}-{number}{suffix}"
+            path = self._folder / f"{clean}-{number}{suffix}"
         self.written.append(path)
-        return path
+        if self._staging is None:
+            self._staging = Path(tempfile.mkdtemp(prefix=f".{self.output.stem}-", dir=self.output.parent)).resolve()
+        return self._staging / path.name
 
     @contextlib.contextmanager
     def all_or_none(self) -> Iterator[None]:
-        """Inside, an error takes the files with it that were written so far."""
+        """Inside, files are written elsewhere; without an error they come to their place, in that of older ones."""
         try:
             yield
-        except BaseException:
+            if self._staging:
+                self._folder.mkdir(exist_ok=True)
             for path in self.written:
-                path.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                self._folder.rmdir()
-            raise
+                os.replace(self._staging / path.name, path)
+        finally:
+            if self._staging:
+                shutil.rmtree(self._staging, ignore_errors=True)
 
     @property
     def _folder(self) -> Path:
