@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .needs import is_delta
-from .parameters import Watch
+from .parameters import Watch, channels
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
 # mirrors costs as much as three lights, but its compile time does not grow with their number.
@@ -141,4 +141,4 @@ def _positional(emitter) -> bool:
 
 
 def _shines(intensity) -> bool:
-    return bool(dr.any(dr.ravel(intensity) != 0))
+    return any(value != 0 for channel in channels(intensity) for value in channel)

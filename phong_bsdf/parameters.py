@@ -40,7 +40,7 @@ class Watch:
         return self._numbers() != self._seen
 
     def _numbers(self):
-        return [channel.index for array in self._arrays for channel in _channels(array)]
+        return [channel.index for array in self._arrays for channel in channels(array)]
 
 
 class Parameter:
@@ -134,7 +134,7 @@ class Parameter:
             # Most constants are the array that holds them; to evaluate a thousand would launch a kernel for each.
             plain = self.texture.class_name() in PLAIN and len(self.arrays) == 1 and not mi.is_spectral
             value = self.arrays[0] if plain else self.texture.eval(dr.zeros(mi.SurfaceInteraction3f))
-            self._constant = tuple(channel[0] for channel in _channels(value))
+            self._constant = tuple(channel[0] for channel in channels(value))
         return self._constant
 
     def value(self, si, active):
@@ -186,7 +186,7 @@ class Parameter:
                 raise ValueError(_message(self.plugin, self.name, self.upper, given))
 
 
-def _channels(array) -> list:
+def channels(array) -> list:
     """The one-dimensional arrays that make up a number, colour, spectrum or tensor."""
     if dr.is_tensor_v(array):
         return [array.array]
