@@ -180,9 +180,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
 
 
 def _bsdfs(bsdfs) -> str:
-    kinds = Counter(b.class_name() if type(b) is mi.BSDF else type(b).__name__ for b in bsdfs)
-    names = [f"{n} {name}" for name, n in kinds.items()]
-    return ", ".join(names) if len(names) <= 2 else f"{len(bsdfs)} BSDFs of {len(names)} kinds"
+    return _kinds("BSDFs", Counter(b.class_name() if type(b) is mi.BSDF else type(b).__name__ for b in bsdfs))
 
 
 def _mirrors(tracer) -> str:
@@ -192,8 +190,15 @@ def _mirrors(tracer) -> str:
 
 
 def _lights(lights, dark) -> str:
-    names = ", ".join(f"{n} {name}" for name, n in lights.items()) or "none"
+    names = _kinds("lights", lights) or "none"
     return f"{names}; {dark} send nothing" if dark else names
+
+
+def _kinds(what, counts) -> str:
+    """The names of two kinds at most, so that the table fits into a terminal."""
+    if len(counts) > 2:
+        return f"{counts.total()} {what} of {len(counts)} kinds"
+    return ", ".join(f"{n} {name}" for name, n in counts.items())
 
 
 def _is_random(sensor, spp) -> bool:
