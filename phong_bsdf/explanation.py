@@ -143,7 +143,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
     table = tracer.table
 
     def column(name):
-        return _bsdfs(bsdfs) if table is None else "some" if getattr(table, name) is not None else "0 everywhere"
+        return "known to the BSDFs" if table is None else "some" if getattr(table, name) is not None else "0 everywhere"
 
     return {
         "bsdf calls": _bsdfs(bsdfs) if table is None else "own BSDFs, constants",
@@ -157,7 +157,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
         "lights": _lights(lights, tracer.lights.dark),
         "light calls": "intensity by direction" if not tracer.lights.uniform else "the same in all directions",
         "ambient": "0" if integrator.ambient.left_out else "some",
-        "film block": f"{'box' if box else film.rfilter().class_name()} filter, {spp} spp",
+        "film block": f"{'box' if box else film.rfilter().class_name().removesuffix('Filter')} filter, {spp} spp",
         "textures": ("some" if textured else "none", textured, "texture coordinates"),
         "shadows": ("on" if integrator.shadows else "off", integrator.shadows, "shadow rays"),
         "background": (
@@ -180,10 +180,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
 
 
 def _bsdfs(bsdfs) -> str:
-    return ", ".join(
-        f"{n} {name}"
-        for name, n in Counter(b.class_name() if type(b) is mi.BSDF else type(b).__name__ for b in bsdfs).items()
-    )
+    return _kinds("BSDFs", Counter(b.class_name() if type(b) is mi.BSDF else type(b).__name__ for b in bsdfs))
 
 
 def _mirrors(tracer) -> str:
@@ -193,8 +190,15 @@ def _mirrors(tracer) -> str:
 
 
 def _lights(lights, dark) -> str:
-    names = ", ".join(f"{n} {name}" for name, n in lights.items()) or "none"
+    names = _kinds("lights", lights) or "none"
     return f"{names}; {dark} send nothing" if dark else names
+
+
+def _kinds(what, counts) -> str:
+    """The names of two kinds at most, so that the table fits into a terminal."""
+    if len(counts) > 2:
+        return f"{counts.total()} {what} of {len(counts)} kinds"
+    return ", ".join(f"{n} {name}" for name, n in counts.items())
 
 
 def _is_random(sensor, spp) -> bool:

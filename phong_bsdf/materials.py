@@ -48,7 +48,7 @@ class Table:
     """The constants of all shapes of the scene that was rendered last."""
 
     def __init__(self):
-        self.serials, self.watch, self.materials, self.columns = None, None, None, {}
+        self.serials, self.pointers, self.watch, self.materials, self.columns = None, None, None, None, {}
 
     def of(self, scene, keep=frozenset()):
         """`Materials` of `scene`; None where some BSDF is another, or varies, or is differentiated or recorded."""
@@ -59,7 +59,10 @@ class Table:
         serials = [getattr(bsdf, "serial", None) for bsdf in bsdfs]
         if not shapes or None in serials:
             return None
-        if serials != self.serials or self.watch.changed():
+        # Scenes may share BSDFs, but their shapes have other numbers. While the array is kept, no other has its index.
+        pointers = scene.shapes_dr()
+        if serials != self.serials or pointers.index != self.pointers.index or self.watch.changed():
+            self.pointers = pointers
             self._look(shapes, bsdfs, serials)
         if self.materials is None:
             return None

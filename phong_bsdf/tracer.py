@@ -56,6 +56,8 @@ class Tracer:
         self.scene = scene
         if gradients:
             wake(scene)
+            # A tree of rays has no backward derivative; only a scene that needs one is to fail.
+            keep = keep - {"branches"}
         check_lights(scene)
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
         self.surfaces = Surfaces(scene, memory.seen)

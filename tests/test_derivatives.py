@@ -165,6 +165,12 @@ def test_whitted_at_zero(name):
     assert at_zero == pytest.approx(near, rel=1e-4) and at_zero != 0
 
 
+def test_general_kernels_are_differentiated():
+    """`specialize` = false has the derivative of the specialised kernel."""
+    special, general = (gradient(mirror_scene(0.3, specialize=flag), "km") for flag in (True, False))
+    assert general == pytest.approx(special, rel=1e-4)
+
+
 LIGHTS = {
     "point": {"type": "point", "position": [0, 2, 0]},
     "sky": {"type": "constant", "radiance": 0.5},

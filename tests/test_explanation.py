@@ -113,6 +113,14 @@ def test_command(tmp_path):
     assert kept["operations"] < kept["general_operations"]
 
 
+def test_many_kinds_of_bsdfs_fit_into_a_line():
+    """The table is no wider than a terminal of 100 columns."""
+    bsdfs = [GLASS, HOLE, mirror(BLINN), {"type": "roughconductor"}, {"type": "roughplastic"}, {"type": "diffuse"}]
+    loaded = LoadedScene("a.xml", scene(bsdfs, {**POINTS, **SPOT, **SUN}, size=8), "Whitted", 0.0)
+    text = report.text(explanation.explain(loaded, repeats=1))
+    assert "6 BSDFs of 6 kinds" in text and "8 lights of 3 kinds" in text and max(map(len, text.splitlines())) <= 100
+
+
 def test_other_integrators_are_refused(tmp_path):
     """Exit code 2 and one sentence; so are variants without kernels."""
     loaded = LoadedScene("a.xml", scene([PHONG], SUN), "path", 0.0)

@@ -158,6 +158,16 @@ def test_updates_are_seen():
         assert np.array_equal(picture, np.array(mi.render(loaded)))
 
 
+def test_scenes_that_share_bsdfs():
+    """The same BSDFs on other shapes, whose numbers are others, rendered in turn by one integrator."""
+    bsdfs = [mi.load_dict(bsdf) for bsdf in (PHONG, BLINN, mirror(PHONG))]
+    integrator = mi.load_dict({"type": "whitted"})
+    first, second = scene(bsdfs, SUN), scene(bsdfs, SUN)
+    expected = np.array(mi.render(first))
+    for loaded in (first, second, first):
+        assert np.array_equal(np.array(mi.render(loaded, integrator=integrator)), expected)
+
+
 def operations(scene):
     """Operations of the largest kernel of a rendering, and how many kernels were compiled by rendering again."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -232,6 +242,7 @@ def test_shared_textures_are_followed(before, after, specialize):
         bsdfs = [
             {"type": "phong", "diffuse_reflectance": shared, "specular_reflectance": 0.5},
             {"type": "blinnphong", "kd": shared, "ks": 0.1},
+            {"type": "blinnphong", "diffuse_reflectance": shared, "specular_reflectance": 0.6},
             mirror({"type": "phong", "kd": 0.2, "ks": shared}),
         ]
         return scene(

@@ -142,6 +142,7 @@ class LobeBSDF(mi.BSDF):
 
     def constants(self):
         """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
+        self.refresh()
         values = [(0.0,) if parameter.varies else parameter.constant() for parameter in self.parameters]
         # Of a colour, only Mitsuba knows which number an exponent is.
         if None in values or len(set(values[2])) > 1 or any(parameter.differentiated for parameter in self.parameters):

@@ -153,6 +153,7 @@ class MirrorBlend(mi.BSDF):
 
     def constants(self):
         """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
+        self.refresh()
         describe = getattr(self.nested, "constants", None)
         nested, km = describe() if describe else None, (0.0,) if self.km.varies else self.km.constant()
         # One mirror over another is no single material.

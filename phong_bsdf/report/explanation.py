@@ -15,8 +15,8 @@ def text(explanation: Explanation) -> str:
         tables.text_table(("feature", "this scene", "left out", "operations", "ms"), rows, left=3)
         + f"\nA frame of {e.width} x {e.height}, {e.spp} spp: {e.operations} operations, {e.milliseconds:.1f} ms."
         + f"\nHolding every feature: {e.general_operations} operations, {e.general_milliseconds:.1f} ms."
-        + "\nThe columns to the right: what leaving out that feature alone saves; - where nothing is left out, or where"
-        + "\nthere would be nothing to hold.\n"
+        + "\nThe columns to the right: what leaving out that feature alone saves; - where nothing is left out,"
+        + "\nor where there would be nothing to hold.\n"
     )
 
 
