@@ -81,6 +81,11 @@ class Files:
             self._staging = Path(tempfile.mkdtemp(prefix=f".{self.output.stem}-", dir=self.output.parent)).resolve()
         return self._staging / path.name
 
+    def written_as(self, name: str) -> Path:
+        """Where a file is, until all are in their place, that the new scene names so."""
+        path = self.output.parent / name
+        return self._staging / path.name if self._staging and path in self.written else path
+
     @contextlib.contextmanager
     def all_or_none(self) -> Iterator[None]:
         """Inside, files are written elsewhere; without an error they come to their place, in that of older ones."""

@@ -211,7 +211,7 @@ def mean(node: Node, context: Context) -> float | None:
     name = node.find_named("filename")
     if node.type != "bitmap" or name is None:
         return None
-    path = context.files.output.parent / name.get("value") if name.final else _image(node, context)
+    path = context.files.written_as(name.get("value")) if name.final else _image(node, context)
     if path is None:
         return None
     raw = node.find_named("raw")
