@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .camera import CameraSamples
 from .needs import FEATURES, REQUIRED, is_delta
 from .rendering import WHITTED, LoadedScene, SceneError, resize
 
@@ -139,6 +140,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
     textured = any(mi.has_flag(b.flags(), mi.BSDFFlags.SpatiallyVarying) for b in bsdfs)
     film = sensor.film()
     box = film.rfilter().is_box_filter()
+    random = CameraSamples(sensor, 0, spp).sampler is not None
     spheres = len(tracer.surfaces.spheres)
     table = tracer.table
 
@@ -146,7 +148,7 @@ def _facts(scene, sensor, spp, integrator) -> dict:
         return "known to the BSDFs" if table is None else "some" if getattr(table, name) is not None else "0 everywhere"
 
     return {
-        "bsdf calls": _bsdfs(bsdfs) if table is None else "own BSDFs, constants",
+        "bsdf calls": _bsdfs(bsdfs) if table is None else "own BSDFs",
         "materials": f"{len(bsdfs)} BSDFs" if table is None else f"{table.distinct} distinct",
         "diffuse": column("diffuse"),
         "highlights": column("specular"),
@@ -166,8 +168,8 @@ def _facts(scene, sensor, spp, integrator) -> dict:
             "what escaped rays see",
         ),
         "random numbers": (
-            "sampler" if _is_random(sensor, spp) else "fixed sample positions",
-            _is_random(sensor, spp),
+            "sampler" if random else "fixed sample positions",
+            random,
             "the sampler",
         ),
         "large spheres": (f"{spheres}" if spheres else "none", spheres > 0, "refined hits"),
@@ -199,9 +201,3 @@ def _kinds(what, counts) -> str:
     if len(counts) > 2:
         return f"{counts.total()} {what} of {len(counts)} kinds"
     return ", ".join(f"{n} {name}" for name, n in counts.items())
-
-
-def _is_random(sensor, spp) -> bool:
-    from .camera import CameraSamples
-
-    return CameraSamples(sensor, 0, spp).sampler is not None

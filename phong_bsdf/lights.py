@@ -63,8 +63,8 @@ class Lights:
         self.any_positional = any(_positional(e) for e in emitters)
         self.any_directional = not all(_positional(e) for e in emitters)
         # Wavelengths differ from ray to ray: a spectral intensity cannot be tabulated.
-        self.uniform = not mi.is_spectral and all(e.class_name() in UNIFORM for e in emitters)
-        self.uniform = self.uniform and "light calls" not in keep
+        self.alike = not mi.is_spectral and all(e.class_name() in UNIFORM for e in emitters)
+        self.uniform = self.alike and "light calls" not in keep
 
         if self.few:
             self.table = [self._read(e, _positional(e)) for e in emitters]
@@ -94,7 +94,7 @@ class Lights:
         it = dr.zeros(mi.Interaction3f) if it is None else it
         # Far enough from the light for the difference of the positions to keep its digits, for a uniform light
         # one of them; no further, or a faint light would be lost in 1/r^2.
-        reach = dr.maximum(dr.max(dr.abs(at)) * (2**-20 if self.uniform else 2**-6), 1)
+        reach = dr.maximum(dr.max(dr.abs(at)) * (2**-20 if self.alike else 2**-6), 1)
         it.p = at - direction * reach
         ds, weight = emitter.sample_direction(it, mi.Point2f(0), active)
         distance = dr.select(mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition), ds.dist, 1)
@@ -121,7 +121,9 @@ class Lights:
         if intensity is None:
             it = dr.zeros(mi.Interaction3f)
             it.time, it.wavelengths = si.time, si.wavelengths
-            intensity = self._intensity(emitter, at, direction, it, active)
+            # Where it is the same in all directions: of the direction that a table would read.
+            seen = mi.Vector3f(0, 0, 1) if self.alike else direction
+            intensity = self._intensity(emitter, at, seen, it, active)
         return direction, distance, intensity, active
 
     def _entry(self, i):

@@ -51,7 +51,7 @@ class Table:
         self.serials, self.pointers, self.watch, self.materials, self.columns = None, None, None, None, {}
 
     def of(self, scene, keep=frozenset()):
-        """`Materials` of `scene`; None where some BSDF is another, or varies, or is differentiated or recorded."""
+        """`Materials` of `scene`; None where some BSDF is another, or is differentiated or recorded."""
         if mi.is_spectral or mi.is_polarized or not dr.is_jit_v(mi.Float) or dr.flag(dr.JitFlag.FreezingScope):
             return None
         shapes = scene.shapes()

@@ -78,8 +78,9 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
-        self.isotropic = is_isotropic(scene)
         self.table = None if gradients or "bsdf calls" in keep else memory.table.of(scene, keep)
+        # A table is of such BSDFs only.
+        self.isotropic = self.table is not None or is_isotropic(scene)
         if self.table:
             mirror = self.table.km is not None
             self.deltas = prepared(DeltaLobes(branches=int(mirror), fading=mirror), keep)

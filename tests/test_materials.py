@@ -95,13 +95,10 @@ def differences(name, keeps, **options):
 )
 @pytest.mark.parametrize("name", SCENES)
 def test_general_kernels_show_the_same(name, options):
-    """Bit by bit where BSDFs are called; with everything else there for nothing but for the rounding of an ambient
-    term, and of intensities that come back from another distance."""
-    keeps = ({"bsdf calls"}, set(FEATURES) - {"light calls"}, set(FEATURES))
-    called, most, general = differences(name, keeps, **options)
+    """Bit by bit where BSDFs are called; with everything there for nothing but for the rounding of an ambient term."""
+    called, general = differences(name, ({"bsdf calls"}, set(FEATURES)), **options)
     assert called == 0
-    assert most <= (2e-7 if options.get("ambient") else 0)
-    assert general < 5e-7
+    assert general <= (2e-7 if options.get("ambient") else 0)
 
 
 @pytest.mark.parametrize("feature", FEATURES)
@@ -109,7 +106,7 @@ def test_each_feature_alone_changes_nothing(feature):
     """Whatever a kernel could leave out, and holds."""
     for name in ("both lobes", "mirrors", "no highlight", "vocabularies"):
         (difference,) = differences(name, [{feature, *REQUIRED.get(feature, ())}])
-        assert difference <= (5e-7 if feature == "light calls" else 0)
+        assert difference == 0
 
 
 @pytest.mark.parametrize(
