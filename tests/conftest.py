@@ -5,6 +5,7 @@ import gc
 import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
 
 import mitsuba as mi  # isort: skip
+import browsing
 import pytest
 
 # For what test modules build when they are imported.
@@ -25,6 +26,13 @@ def _fresh():
     mi.set_log_level(mi.LogLevel.Error)
     yield
     gc.collect()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A Chromium of the system."""
+    with browsing.launched() as browser:
+        yield browser
 
 
 @pytest.fixture(params=CPU_VARIANTS)

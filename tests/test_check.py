@@ -2,12 +2,12 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import mistaken
 import numpy as np
 import pytest
+from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
@@ -206,7 +206,7 @@ def test_page_names():
 
 
 @pytest.mark.slow
-def test_pages(folder):
+def test_pages(folder, browser):
     """An index, and a page for each picture, which no file name can break, and which ask for nothing from outside."""
     draw(folder / "class/a<b>&c.png", "mirror-added")
     draw(folder / "class/right.png")
@@ -217,24 +217,13 @@ def test_pages(folder):
     text = (folder / "out/a<b>&c.html").read_text()
     assert "(1 - k_m) is missing" in text and "<b>" not in text
     assert text.count('src="data:image/png') >= 4
-    playwright = pytest.importorskip("playwright.sync_api")
-    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if chromium is None:
-        pytest.skip("no Chromium on this system")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_context(viewport={"width": 390, "height": 800}, offline=True).new_page()
-        asked, wrong = [], []
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("console", lambda message: wrong.append(message.text))
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.goto((folder / "out/index.html").as_uri())
+    start = folder / "out/index.html"
+    visits = [f"{start.parent.as_uri()}/a%3Cb%3E%26c.html"]
+    with opened(browser, start, "a", width=390, height=800, visits=visits) as page:
         page.get_by_role("link", name="a<b>&c.png").click()
         page.wait_for_selector("#viewer[data-ready]")
         assert page.locator("[data-picture]").all_inner_texts() == ["1 expected", "2 handed in", "3 with the mistake"]
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
-        browser.close()
-    assert wrong == [] and all(url.startswith(("data:", "file:")) for url in asked)
 
 
 def test_documented_commands_and_python(folder):

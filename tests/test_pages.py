@@ -2,20 +2,17 @@
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
+from browsing import opened
 from click.testing import CliRunner
 
 from phong_bsdf import images
 from phong_bsdf.cli import main
 from phong_bsdf.report import page as pages
 
-playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this system")]
+pytestmark = pytest.mark.slow
 
 SCENE = """\
 <scene version="3.0.0">
@@ -48,29 +45,11 @@ def folder(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
 def page(browser, folder):
     """The page, in a browser without a network; in the end nothing was asked for and nothing went wrong."""
-    context = browser.new_context(viewport={"width": 1000, "height": 1200}, offline=True)
-    page = context.new_page()
-    asked, wrong = [], []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: wrong.append(message.text))
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.goto((folder / "index.html").as_uri())
-    page.wait_for_selector("#viewer[data-ready]")
-    yield page
-    context.close()
-    assert [url for url in asked if not url.startswith("data:")] == [(folder / "index.html").as_uri()]
-    assert wrong == []
+    with opened(browser, folder / "index.html", "#viewer[data-ready]") as page:
+        yield page
 
 
 def picture(page):

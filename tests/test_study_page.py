@@ -2,20 +2,17 @@
 
 import json
 import math
-import shutil
 
 import numpy as np
 import pytest
+from browsing import opened
 from click.testing import CliRunner
 
 from phong_bsdf import images, lobe_errors, stability
 from phong_bsdf.cli import main
 from phong_bsdf.report import lobe_errors as lobe_report
 
-playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this system")]
+pytestmark = pytest.mark.slow
 
 SCENE = """\
 <scene version="3.0.0">
@@ -49,33 +46,11 @@ def folder(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
 def page(browser, folder):
     """The page, in a browser without a network; in the end nothing was asked for and nothing went wrong."""
-    yield from opened(browser, folder / "index.html", "#viewer[data-ready]")
-
-
-def opened(browser, path, ready):
-    context = browser.new_context(viewport={"width": 1100, "height": 1200}, offline=True)
-    page = context.new_page()
-    asked, wrong = [], []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: wrong.append(message.text))
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.goto(path.as_uri())
-    page.wait_for_selector(ready)
-    yield page
-    context.close()
-    assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
-    assert wrong == []
+    with opened(browser, folder / "index.html", "#viewer[data-ready]") as page:
+        yield page
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +240,7 @@ def test_lobes_on_the_same_page(browser, tmp_path):
     run = lobe_errors.LobeRun("key", 10, 2, 0, "llvm_ad_rgb", "versions", "machine")
     found = lobe_errors.LobeErrors(run, 2, tuple(lobe_errors.summarise(sweeps)))
     path = lobe_report.write(tmp_path, found)
-    for page in opened(browser, path, "#lobes"):
+    with opened(browser, path, "#lobes"):
         assert page.locator('[data-plot="value"] [id^="point-"]').count() == 4
         assert column(page, "lobes", "ns") == ["4", "3", "4", "3"]
         errors = [numbers(text)[0] for text in column(page, "lobes", "worst error")]
