@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
     lamp = '<shape type="sphere"><point name="center" x="9" y="9" z="0"/><emitter type="area"/></shape>'
     (folder / "scene.xml").write_text(SCENE.replace("</scene>", f"{lamp}</scene>"))
     given = [argument for name in METHODS for argument in ("--method", name)]
-    args = [folder / "scene.xml", "-o", folder / "out", "--spp", "1,4,16", "--repeats", "3", *given,
+    args = [folder / "scene.xml", "-o", folder / "out", "--spp", "1,16,256", "--repeats", "3", *given,
             "--method", "bad=integrator=whitted"]  # fmt: skip
     result = CliRunner().invoke(main, ["converge", *map(str, args)])
     assert result.exit_code == 1, result.stderr or result.exception
@@ -240,7 +240,7 @@ def test_lobes_on_the_same_page(browser, tmp_path):
     run = lobe_errors.LobeRun("key", 10, 2, 0, "llvm_ad_rgb", "versions", "machine")
     found = lobe_errors.LobeErrors(run, 2, tuple(lobe_errors.summarise(sweeps)))
     path = lobe_report.write(tmp_path, found)
-    with opened(browser, path, "#lobes"):
+    with opened(browser, path, "#lobes") as page:
         assert page.locator('[data-plot="value"] [id^="point-"]').count() == 4
         assert column(page, "lobes", "ns") == ["4", "3", "4", "3"]
         errors = [numbers(text)[0] for text in column(page, "lobes", "worst error")]
