@@ -80,7 +80,7 @@ def pytest_generate_tests(metafunc):
 @pytest.fixture
 def phong_variant(request):
     """A variant of Mitsuba, set for this test; afterwards Dr.Jit and Mitsuba are as they were."""
-    from phong_bsdf.isolation import isolated
+    from phong_bsdf.checking.isolation import isolated
 
     variant = getattr(request, "param", None) or _default_variants(request.config)[0]
     try:
@@ -109,7 +109,7 @@ class RenderCheck:
 
     def __call__(self, scene, name: str | None = None, **options):
         """Render (or take the array `scene`), and compare with the reference `name`."""
-        from phong_bsdf import references
+        from phong_bsdf.checking import references
         from phong_bsdf.rendering import SceneError
 
         try:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from phong_bsdf import conclusions, convergence, images, lobe_errors
+from phong_bsdf import images
+from phong_bsdf.convergence import conclusions, lobe_errors, planning
 from phong_bsdf.passes import Store
 from phong_bsdf.report import convergence_tables, page
 
@@ -44,7 +45,7 @@ def main():
         if name == "lobes":
             insert(name, lobe_table(lobe_errors.read(Store(OUT / name))))
             continue
-        found, pictures = conclusions.conclude(Store(OUT / name), convergence.read_run(Store(OUT / name)))
+        found, pictures = conclusions.conclude(Store(OUT / name), planning.read_run(Store(OUT / name)))
         image = strip(pictures, SHOWN[name], conclusions.against(found.run))
         images.write(ROOT / f"docs/images/study-{name}.png", image)
         plot = (OUT / name / "relmse.svg").read_text(encoding="utf-8")

@@ -11,9 +11,10 @@ from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
-from phong_bsdf import images, mistakes
+from phong_bsdf import images
+from phong_bsdf.checking import mistakes
+from phong_bsdf.checking.hits import Material
 from phong_bsdf.cli import main
-from phong_bsdf.hits import Material
 from phong_bsdf.report import check as report
 
 WIDTH, HEIGHT = 60, 44

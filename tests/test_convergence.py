@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import conclusions, convergence, images, measuring, metrics, rendering, study
+from phong_bsdf import images, metrics, rendering
 from phong_bsdf.cli import main
+from phong_bsdf.convergence import conclusions, measuring, planning, study
 from phong_bsdf.passes import Store
 
 SCENE = """\
@@ -94,10 +95,10 @@ def test_errors_are_those_of_the_pictures(scene):
     """Recomputed from the files: mean of (x - r)^2 / (r^2 + epsilon), less the reference's own noise."""
     found = converge(*FAST, *TWO)
     store = Store(Path("out"))
-    run = convergence.read_run(store)
+    run = planning.read_run(store)
     reference = run.references[0]
     truth = np.stack([store.image(reference.key, p) for p in store.list(reference.key)]).astype(np.float64)
-    assert truth.shape == (convergence.REFERENCE_PASSES, 14, 20, 3)
+    assert truth.shape == (planning.REFERENCE_PASSES, 14, 20, 3)
     mean = truth.mean(axis=0)
     weight = 1 / (mean**2 + metrics.EPSILON)
     noise = np.mean(weight * truth.var(axis=0, ddof=1)) / len(truth)
@@ -116,9 +117,9 @@ def test_passes_are_renderings_of_their_seeds(scene):
     """Each file is the picture that the same method, samples and seed give; no seed is used twice."""
     converge(*FAST, *TWO)
     store = Store(Path("out"))
-    run = convergence.read_run(store)
+    run = planning.read_run(store)
     seeds = [p.seed for m in (*run.methods, *run.references) for p in store.list(m.key)]
-    assert len(seeds) == len(set(seeds)) == 12 + convergence.REFERENCE_PASSES
+    assert len(seeds) == len(set(seeds)) == 12 + planning.REFERENCE_PASSES
     # References, and only they, have the bit that keeps their samples apart from every method's.
     assert all(p.seed >= measuring.REFERENCE_SEED for p in store.list(run.references[0].key))
     assert all(p.seed < measuring.REFERENCE_SEED for m in run.methods for p in store.list(m.key))
@@ -148,12 +149,12 @@ def test_killed_run_goes_on(scene):
     arguments = ["a.xml", "--spp", "4,16", "--repeats", "3", *TWO]
     child = subprocess.Popen([sys.executable, "-m", "phong_bsdf", "converge", *arguments, "-o", "out"])
     limit = time.monotonic() + 60
-    while len(made()) < convergence.REFERENCE_PASSES + 3 and time.monotonic() < limit and child.poll() is None:
+    while len(made()) < planning.REFERENCE_PASSES + 3 and time.monotonic() < limit and child.poll() is None:
         time.sleep(0.002)
     child.send_signal(signal.SIGKILL)
     assert child.wait() == -signal.SIGKILL
     before = made()
-    assert convergence.REFERENCE_PASSES + 3 <= len(before) < convergence.REFERENCE_PASSES + 12
+    assert planning.REFERENCE_PASSES + 3 <= len(before) < planning.REFERENCE_PASSES + 12
     # What it was writing when it was killed, in the worst case.
     leftover = next(iter(before)).parent / ".half.exr"
     leftover.write_bytes(b"half a file")
@@ -189,8 +190,8 @@ def test_method_that_fails_is_reported(scene):
 
 def test_any_exception_of_a_method_is_a_failure(scene, monkeypatch):
     """Plugins in Python may raise anything; only what the disk says ends a run."""
-    monkeypatch.setattr(convergence, "REFERENCE_PASSES", 1)
-    planned = convergence.plan(Path("a.xml"), given=[("path", {}), ("direct", {})], levels=(1,), repeats=1)
+    monkeypatch.setattr(planning, "REFERENCE_PASSES", 1)
+    planned = planning.plan(Path("a.xml"), given=[("path", {}), ("direct", {})], levels=(1,), repeats=1)
     store, real = Store(Path("out")), measuring._Session._pass
 
     def made(self, loaded, key, *args, **more):
@@ -206,7 +207,7 @@ def test_any_exception_of_a_method_is_a_failure(scene, monkeypatch):
         assert store.failure(path.key) is None and len(store.list(path.key)) == 1
         monkeypatch.setattr(Store, "add", lambda *args: (_ for _ in ()).throw(OSError("disk full")))
         with pytest.raises(OSError, match="disk full"):
-            measuring.measure(convergence.plan(Path("a.xml"), given=[("path", {})], seed=1), store)
+            measuring.measure(planning.plan(Path("a.xml"), given=[("path", {})], seed=1), store)
 
 
 @pytest.mark.parametrize("text", ("{", "[]", '{"methods": []}'))
@@ -223,7 +224,7 @@ def test_text_longer_than_a_file_name(scene):
     other = Path("a.xml").read_text().replace("</scene>", '<shape type="sphere" id="%s"/></scene>' % ("x" * 300))
     for value in (other, Path("a.xml").read_text().replace("t.png", "x" * 300)):
         Path("b.xml").write_text(value)
-        assert convergence.plan(Path("b.xml"), given=[("path", {})]).run.scene_hash
+        assert planning.plan(Path("b.xml"), given=[("path", {})]).run.scene_hash
 
 
 def test_integrator_with_more_channels(scene):
@@ -242,7 +243,7 @@ def test_time_budget(scene):
     found = converge(*arguments, "--time-budget", "0.2")
     assert len(found["rows"]) < 6
     # A reference of fewer passes than asked for is one all the same.
-    assert measuring.LEAST_REFERENCE_PASSES <= found["references"][0]["passes"] < convergence.REFERENCE_PASSES
+    assert measuring.LEAST_REFERENCE_PASSES <= found["references"][0]["passes"] < planning.REFERENCE_PASSES
     said = command("--from", "out").stdout
     assert f"{6 - len(found['rows'])} of 6 passes are missing" in said
 
@@ -268,7 +269,7 @@ def test_reference_from_a_file(scene):
     assert not list(Path("out/passes").glob("*reference*"))
     # Without its own noise taken out, the error is the plain one.
     store = Store(Path("out"))
-    key = convergence.read_run(store).methods[0].key
+    key = planning.read_run(store).methods[0].key
     p = store.list(key)[0]
     assert found["rows"][0]["relmse"] == pytest.approx(metrics.errors(store.image(key, p), image).relmse, rel=1e-5)
 
@@ -294,24 +295,24 @@ def test_whitted_is_measured_against_a_finer_grid(scene):
 def test_references_are_finer_than_all_methods(scene):
     """Whatever numbers of samples each method has of its own, and in whichever order they come."""
     for given in ([("path", {"spp": "256"}), ("direct", {})], [("direct", {}), ("path", {"spp": "256"})]):
-        (reference,) = convergence.plan(Path("a.xml"), given=given, levels=(1, 4)).run.references
-        assert set(reference.levels) == {convergence.REFERENCE_SPP * 256}
-        assert len(reference.levels) == convergence.REFERENCE_PASSES
+        (reference,) = planning.plan(Path("a.xml"), given=given, levels=(1, 4)).run.references
+        assert set(reference.levels) == {planning.REFERENCE_SPP * 256}
+        assert len(reference.levels) == planning.REFERENCE_PASSES
     fine, coarse = ("whitted", {"spp": "64"}), ("coarse", {"integrator": "whitted", "spp": "1"})
     Path("a.xml").write_text(
         SCENE.format(light="point").replace('<integrator type="path">', '<integrator type="whitted">')
     )
     for given in ([fine, coarse], [coarse, fine]):
         # The samples of random methods do not refine a grid.
-        (reference,) = convergence.plan(Path("a.xml"), given=given).run.references
+        (reference,) = planning.plan(Path("a.xml"), given=given).run.references
         assert reference.levels == (32**2, 16**2)
 
 
 def test_grids_share_no_sample():
     """The centres of an n x n grid are on no reference grid that can follow from n."""
     for n in range(1, 33):
-        across = convergence.reference_grid(n * n)
-        assert across >= convergence.REFERENCE_GRID * n
+        across = planning.reference_grid(n * n)
+        assert across >= planning.REFERENCE_GRID * n
         centres = {(2 * i + 1) / (2 * n) for i in range(n)}
         assert not centres & {(2 * i + 1) / (2 * across) for i in range(across)}
 
@@ -320,10 +321,10 @@ def test_interleaved(scene, monkeypatch):
     """Each method makes one pass at each level before any makes its second; references come first."""
     order = []
     monkeypatch.setattr(Store, "add", lambda self, key, p, image: order.append((key.split("-")[0:2], p.spp, p.repeat)))
-    planned = convergence.plan(Path("a.xml"), given=[("path", {}), ("direct", {})], levels=(1, 4), repeats=2)
+    planned = planning.plan(Path("a.xml"), given=[("path", {}), ("direct", {})], levels=(1, 4), repeats=2)
     measuring.measure(planned, Store(Path("out")))
-    references, passes = order[: convergence.REFERENCE_PASSES], order[convergence.REFERENCE_PASSES :]
-    assert [repeat for *_, repeat in references] == list(range(convergence.REFERENCE_PASSES))
+    references, passes = order[: planning.REFERENCE_PASSES], order[planning.REFERENCE_PASSES :]
+    assert [repeat for *_, repeat in references] == list(range(planning.REFERENCE_PASSES))
     assert [(spp, repeat) for _, spp, repeat in passes] == [(1, 0), (4, 0)] * 2 + [(1, 1), (4, 1)] * 2
     assert len({key[0] for key, *_ in passes[:4]}) == 2
 
@@ -340,7 +341,7 @@ def test_first_rendering_and_compiling_are_not_timed(scene, monkeypatch):
 
     monkeypatch.setattr(measuring, "_timed", timed)
     monkeypatch.setattr(Store, "add", lambda self, key, p, image: made.append(p))
-    planned = convergence.plan(Path("a.xml"), given=[("path", {})], levels=(1, 4, 16), repeats=1)
+    planned = planning.plan(Path("a.xml"), given=[("path", {})], levels=(1, 4, 16), repeats=1)
     monkeypatch.setattr(measuring._Session, "make_reference", lambda self, reference: None)
     measuring.measure(planned, Store(Path("out")))
     assert calls == [1, 1, 4, 16, 16]
@@ -351,7 +352,7 @@ def test_hash_follows_all_that_a_picture_depends_on(scene):
     """Defines, files that the scene names, size, camera and seed: not comments, and not the folder."""
 
     def key(**options):
-        planned = convergence.plan(Path("a.xml"), options.pop("defines", None), given=[("path", {})], **options)
+        planned = planning.plan(Path("a.xml"), options.pop("defines", None), given=[("path", {})], **options)
         return planned.run.methods[0].key
 
     first = key()
@@ -459,10 +460,10 @@ def test_pictures_at_equal_time(slow, time, chosen):
 def test_conclusions_of_nothing(scene):
     """A folder in which nothing has been rendered yet has a page that says so."""
     store = Store(Path("out"))
-    planned = convergence.plan(Path("a.xml"), given=[("path", {})])
+    planned = planning.plan(Path("a.xml"), given=[("path", {})])
     with store.opened():
-        convergence.write_run(store, planned.run)
-    found, pictures = conclusions.conclude(store, convergence.read_run(store))
+        planning.write_run(store, planned.run)
+    found, pictures = conclusions.conclude(store, planning.read_run(store))
     assert pictures == {} and found.results[0].levels == () and isinstance(found.equal_time, study.Table)
     result = command("--from", "out")
     assert result.exit_code == 0 and "not measured yet" in result.stdout

@@ -9,7 +9,8 @@ import oracle
 import pytest
 from PIL import Image
 
-from phong_bsdf import diagnosis, grading, rendering, shading, stage
+from phong_bsdf import rendering
+from phong_bsdf.checking import diagnosis, grading, shading, stage
 
 WIDTH, HEIGHT = 100, 75
 

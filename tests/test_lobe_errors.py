@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import lobe_errors, passes, stability
+from phong_bsdf import passes, stability
 from phong_bsdf.cli import main
+from phong_bsdf.convergence import lobe_errors
 from phong_bsdf.report import lobe_errors as report
 
 

@@ -4,7 +4,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import methods, rendering
+from phong_bsdf import rendering
+from phong_bsdf.convergence import methods
 
 SCENE = """\
 <scene version="3.0.0">

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from phong_bsdf import images
-from phong_bsdf.pictures import Encoding, PictureError, read
+from phong_bsdf.checking.pictures import Encoding, PictureError, read
 
 
 @pytest.fixture

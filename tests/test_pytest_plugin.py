@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.special  # noqa: F401
 
-from phong_bsdf import images, isolation, references  # noqa: F401
+from phong_bsdf import images
 from phong_bsdf.report import render_check  # noqa: F401
 
 # All that the plugin imports is imported above: pytester forgets what is imported while it runs.

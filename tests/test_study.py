@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phong_bsdf import study
+from phong_bsdf.convergence import study
 from phong_bsdf.passes import Pass
 
 SHAPE = (10, 12, 3)

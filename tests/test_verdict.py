@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import verdict
+from phong_bsdf.checking import verdict
 
 
 @pytest.fixture

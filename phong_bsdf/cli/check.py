@@ -40,7 +40,7 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
     """
     with errors():
         from .. import images
-        from ..pictures import SUFFIXES
+        from ..checking.pictures import SUFFIXES
         from ..report import page
 
         if scene.suffix.lower() in SUFFIXES:
@@ -54,7 +54,7 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
                 raise ValueError(f"'{gradescope}' is a folder; --gradescope needs a file")
             images.check_folder(gradescope.parent)
         start(variant, threads, verbose)
-        from .. import grading
+        from ..checking import grading
         from ..report import check as report
 
         options = grading.Options(linear, tolerance, edges / 100, diagnose)

@@ -58,9 +58,9 @@ def converge(scene, folder, given, levels, repeats, time_budget, reference, draw
                 failed = _measure_lobes(passes.Store(folder), repeats, seed, show)
             else:
                 show("reading", 0)
-                from .. import convergence
+                from ..convergence import planning
 
-                planned = convergence.plan(
+                planned = planning.plan(
                     scene, dict(defines), given=given, levels=levels, repeats=repeats, camera=camera, size=size,
                     seed=seed, reference=reference,
                 )  # fmt: skip
@@ -78,16 +78,16 @@ def _check_arguments(scene, folder, drawn, lobes) -> None:
 
 
 def _measure(store, planned, time_budget, show) -> bool:
-    from .. import convergence, measuring
+    from ..convergence import measuring, planning
 
     with store.opened():
-        convergence.write_run(store, planned.run)
+        planning.write_run(store, planned.run)
         measuring.measure(planned, store, time_budget=time_budget or float("inf"), on_progress=show)
         return _draw(store, show)
 
 
 def _measure_lobes(store, repeats, seed, show) -> bool:
-    from .. import lobe_errors
+    from ..convergence import lobe_errors
 
     with store.opened():
         lobe_errors.measure(store, repeats=repeats, seed=seed, on_progress=show)
@@ -96,7 +96,7 @@ def _measure_lobes(store, repeats, seed, show) -> bool:
 
 def _draw(store, show) -> bool:
     """Write the page and print the table; whether a method failed."""
-    from .. import conclusions, convergence, lobe_errors
+    from ..convergence import conclusions, lobe_errors, planning
     from ..report import convergence as report
     from ..report import lobe_errors as lobe_report
 
@@ -104,7 +104,7 @@ def _draw(store, show) -> bool:
         found = lobe_errors.read(store)
         written, said, failed = lobe_report.write(store.folder, found), lobe_report.text_table(found), False
     else:
-        found, pictures = conclusions.conclude(store, convergence.read_run(store), show)
+        found, pictures = conclusions.conclude(store, planning.read_run(store), show)
         show("writing", 1)
         written, said = report.write(store.folder, found, pictures), report.text_table(found)
         said += "".join(f"\nNote: {warning}" for warning in report.warnings(found))

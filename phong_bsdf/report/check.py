@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..grading import RIGHT, UNREADABLE, Assignment, Checked, Grade, Mistake
+from ..checking.grading import RIGHT, UNREADABLE, Assignment, Checked, Grade, Mistake
 from ..images import replace_file
 from . import page, tables
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import conclusions, study
-from ..conclusions import Conclusions
+from ..convergence import conclusions, study
+from ..convergence.conclusions import Conclusions
 from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables

@@ -2,8 +2,8 @@
 
 import math
 
-from .. import study
-from ..conclusions import Conclusions
+from ..convergence import study
+from ..convergence.conclusions import Conclusions
 from ..metrics import EPSILON
 from . import tables
 from .study import Cell, Table, estimate, interval, number

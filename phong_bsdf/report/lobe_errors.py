@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..lobe_errors import LobeError, LobeErrors
+from ..convergence.lobe_errors import LobeError, LobeErrors
 from . import page, tables
 from .study import Cell, Curve, Plot, Point, Table, drawn, estimate, interval, legend, number
 

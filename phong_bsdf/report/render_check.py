@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import metrics
-from ..references import Outcome
+from ..checking.references import Outcome
 from . import page, tables
 from .check import HEAT
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from . import comparison, matching, needs, rendering, surfaces
+from .. import comparison, matching, needs, rendering, surfaces
 
 SAMPLERS = ("independent", "stratified", "multijitter", "ldsampler")
 SAMPLINGS = ("mixture", "cosine", "lobe")

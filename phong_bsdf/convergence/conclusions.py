@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import images, metrics, study
-from .convergence import MethodRun, ReferenceRun, Run
-from .passes import Pass, Store
+from .. import images, metrics
+from ..passes import Pass, Store
+from . import study
+from .planning import MethodRun, ReferenceRun, Run
 
 # HDR-FLIP of every pass, which takes longer than reading the passes: kept beside them.
 FLIPS = "flip.json"

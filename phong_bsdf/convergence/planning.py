@@ -10,8 +10,9 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 
-from . import __version__, images, methods, passes, rendering
-from .passes import Store
+from .. import __version__, images, passes, rendering
+from ..passes import Store
+from . import methods
 
 LEVELS = (1, 4, 16, 64)
 REPEATS = 5

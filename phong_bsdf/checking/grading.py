@@ -8,7 +8,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import metrics, pictures, rendering
+from .. import metrics, rendering
+from . import pictures
 from .diagnosis import Diagnostician, Explanation
 from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError

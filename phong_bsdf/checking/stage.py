@@ -9,10 +9,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..lights import Lights
+from ..spawn import Surfaces
 from .hits import Bounce, Hits, Light, Undiagnosable
 from .known_surfaces import KnownSurface, name_of
-from .lights import Lights
-from .spawn import Surfaces
 
 # A convex surface hides a light behind it once; others are looked through this often.
 OWN_HITS = 3

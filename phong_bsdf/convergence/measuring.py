@@ -15,9 +15,10 @@ from datetime import datetime, timezone
 import drjit as dr
 import mitsuba as mi
 
-from . import methods, metrics, passes, rendering
-from .convergence import MethodRun, Plan, ReferenceRun
-from .passes import Pass, Store
+from .. import metrics, passes, rendering
+from ..passes import Pass, Store
+from . import methods
+from .planning import MethodRun, Plan, ReferenceRun
 
 # Fewer give a reference no error bar worth the name, however short of time.
 LEAST_REFERENCE_PASSES = 4

@@ -12,10 +12,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import estimates, images, passes, stability
-from .convergence import versions
-from .estimates import Estimate
-from .passes import Store
+from .. import estimates, images, passes, stability
+from ..estimates import Estimate
+from ..passes import Store
+from .planning import versions
 from .study import Spread
 
 EXPONENTS = (1.0, 1e2, 1e4, 1e6, 1e8)
