@@ -94,11 +94,12 @@ class CameraSamples:
         time = self.sensor.shutter_open()
         if self.moves:
             time += self.sampler.next_1d() * self.sensor.shutter_open_time()
-        ray, weight = self.sensor.sample_ray_differential(
-            time=time,
-            sample1=self.sampler.next_1d() if mi.is_spectral else 0,
-            sample2=(position - self.offset) / self.size,
-            sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
-        )
+        wavelength = self.sampler.next_1d() if mi.is_spectral else 0
+        lens = self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5)
+        # The camera may be what is differentiated.
+        with dr.resume_grad():
+            ray, weight = self.sensor.sample_ray_differential(
+                time=time, sample1=wavelength, sample2=(position - self.offset) / self.size, sample3=lens
+            )
         # The box filter needs to know the pixel only, and no rounding may miss it.
         return ray, weight, corner + 0.5 if self.film.rfilter().is_box_filter() else position

@@ -85,6 +85,12 @@ class Whitted(Base):
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
 
+    def traverse(self, cb):
+        cb.put("ambient", self.ambient.texture, mi.ParamFlags.Differentiable)
+
+    def parameters_changed(self, keys):
+        self.ambient.changed_by(keys)
+
     def sample(self, scene, sampler, ray, medium=None, active=True, mode=None, **_):
         """Radiance along `ray`, in the form that Mitsuba expects of an integrator of this variant."""
         radiance, valid = self.tracer(scene, mode).trace(ray, active)
@@ -113,7 +119,7 @@ class Whitted(Base):
             shadows=self.shadows,
             ambient=None if self.ambient.left_out and "ambient" not in self.keep else self.ambient,
             hide_emitters=self.hide_emitters,
-            gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
+            mode=mode,
             keep=self.keep,
         )
 
@@ -164,6 +170,57 @@ class Whitted(Base):
             film.put_block(block)
             return film.develop()
 
+        def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
+            """Derivative of the picture, a tensor of its shape, in the direction of the gradients that `params` hold."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            film = sensor.film()
+            if not _is_plain(film):
+                return super().render_forward(scene, params, sensor, seed, spp)
+            with dr.suspend_grad():
+                samples, spp = self.prepare(sensor, seed, spp)
+                channels = [[] for _ in range(_channels(film))]
+                for first, pixels in samples.passes():
+                    with dr.resume_grad():
+                        color = self._color(scene, dr.ADMode.Forward, samples, first, pixels)
+                        derivative = dr.forward_to(color, flags=dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior)
+                    for channel, found in zip(derivative, channels, strict=False):
+                        found.append(dr.block_sum(channel, spp) / spp)
+                    for found in channels[3:]:
+                        found.append(dr.zeros(mi.Float, pixels))
+                    dr.eval(channels)
+                width, height = film.crop_size()
+                channels = [found[0] if len(found) == 1 else dr.concat(found) for found in channels]
+                image = dr.ravel((mi.Vector4f if len(channels) == 4 else mi.Vector3f)(*channels))
+                return mi.TensorXf(image, (int(height), int(width), len(channels)))
+
+        def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
+            """Adds to the gradients of `params` what `grad_in`, those of the picture, make of them.
+
+            Pixels of the box filter are means of their samples: no film, hence no picture, is needed for it.
+            """
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            film = sensor.film()
+            if not _is_plain(film):
+                super().render_backward(scene, params, grad_in, sensor, seed, spp)
+                return
+            with dr.suspend_grad():
+                samples, spp = self.prepare(sensor, seed, spp)
+                for first, pixels in samples.passes():
+                    with dr.resume_grad():
+                        color = self._color(scene, dr.ADMode.Backward, samples, first, pixels)
+                        pixel = first + dr.arange(mi.UInt32, pixels * spp) // spp
+                        start = pixel * _channels(film)
+                        dr.set_grad(color, mi.Color3f(*(dr.gather(mi.Float, grad_in.array, start + i) for i in range(3))) / spp)
+                        dr.enqueue(dr.ADMode.Backward, color)
+                        dr.traverse(dr.ADMode.Backward)
+                    # Mitsuba must not free the scene before this has run.
+                    dr.eval()
+
+        def _color(self, scene, mode, samples, first, pixels):
+            ray, weight, _ = samples.pixel_rays(first, pixels)
+            radiance, _ = self.tracer(scene, mode).trace(ray, True)
+            return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)
+
     else:
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
@@ -185,6 +242,11 @@ def _is_plain(film) -> bool:
     """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
     special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
     return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
+
+
+def _channels(film) -> int:
+    """Of a plain film."""
+    return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
 
 
 def _store(film, channels):
