@@ -12,7 +12,7 @@ import mitsuba as mi
 from .dispatch import Dispatch
 from .lights import Dark, Lights
 from .materials import Table, is_isotropic
-from .needs import DeltaLobes, check_lights, delta_lobes, prepared, wake
+from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
 from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -88,6 +88,11 @@ class Tracer:
         else:
             self.deltas = delta_lobes(scene, keep)
         self.materials = self.table or Dispatch(self.deltas)
+        if gradients and self.deltas.branches > 1:
+            raise UnsupportedScene(
+                "whitted: no derivatives where a surface both reflects and refracts (dielectric, plastic, a mask over "
+                "a mirror); use mirrorblend or conductor, or the integrator 'path'"
+            )
         # Scalar variants ask each BSDF when they meet it.
         self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
         self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited

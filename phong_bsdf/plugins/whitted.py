@@ -17,6 +17,10 @@ else:
     Base = mi.SamplingIntegrator
 
 
+# Of several passes each needs the derivatives of the parameters; a picture may not depend on them.
+FORWARD = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
+
+
 class Whitted(Base):
     r"""A Whitted ray tracer, deterministic, with the lecture's conventions.
 
@@ -171,7 +175,7 @@ class Whitted(Base):
             return film.develop()
 
         def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
-            """Derivative of the picture, a tensor of its shape, in the direction of the gradients that `params` hold."""
+            """The derivative of the picture, of its shape, in the direction of the gradients that `params` hold."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
             if not _is_plain(film):
@@ -182,7 +186,7 @@ class Whitted(Base):
                 for first, pixels in samples.passes():
                     with dr.resume_grad():
                         color = self._color(scene, dr.ADMode.Forward, samples, first, pixels)
-                        derivative = dr.forward_to(color, flags=dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior)
+                        derivative = dr.forward_to(color, flags=FORWARD)
                     for channel, found in zip(derivative, channels, strict=False):
                         found.append(dr.block_sum(channel, spp) / spp)
                     for found in channels[3:]:
@@ -210,7 +214,9 @@ class Whitted(Base):
                         color = self._color(scene, dr.ADMode.Backward, samples, first, pixels)
                         pixel = first + dr.arange(mi.UInt32, pixels * spp) // spp
                         start = pixel * _channels(film)
-                        dr.set_grad(color, mi.Color3f(*(dr.gather(mi.Float, grad_in.array, start + i) for i in range(3))) / spp)
+                        dr.set_grad(
+                            color, mi.Color3f(*(dr.gather(mi.Float, grad_in.array, start + i) for i in range(3))) / spp
+                        )
                         dr.enqueue(dr.ADMode.Backward, color)
                         dr.traverse(dr.ADMode.Backward)
                     # Mitsuba must not free the scene before this has run.
