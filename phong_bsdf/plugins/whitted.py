@@ -185,7 +185,7 @@ class Whitted(Base):
                 channels = [[] for _ in range(_channels(film))]
                 for first, pixels in samples.passes():
                     with dr.resume_grad():
-                        color = self._color(scene, dr.ADMode.Forward, samples, first, pixels)
+                        color = _color(self.tracer(scene, dr.ADMode.Forward), samples, first, pixels)
                         derivative = dr.forward_to(color, flags=FORWARD)
                     for channel, found in zip(derivative, channels, strict=False):
                         found.append(dr.block_sum(channel, spp) / spp)
@@ -210,22 +210,17 @@ class Whitted(Base):
             with dr.suspend_grad():
                 samples, spp = self.prepare(sensor, seed, spp)
                 for first, pixels in samples.passes():
+                    gradient = _of_samples(grad_in.array, _channels(film), first, pixels, spp)
                     with dr.resume_grad():
-                        color = self._color(scene, dr.ADMode.Backward, samples, first, pixels)
-                        pixel = first + dr.arange(mi.UInt32, pixels * spp) // spp
-                        start = pixel * _channels(film)
-                        dr.set_grad(
-                            color, mi.Color3f(*(dr.gather(mi.Float, grad_in.array, start + i) for i in range(3))) / spp
-                        )
-                        dr.enqueue(dr.ADMode.Backward, color)
-                        dr.traverse(dr.ADMode.Backward)
+                        tracer = self.tracer(scene, dr.ADMode.Backward)
+                        # Loops are traced once less then, but a loop over lights in them cannot do without.
+                        with dr.scoped_set_flag(dr.JitFlag.OptimizeLoops, not tracer.lights.few):
+                            color = _color(tracer, samples, first, pixels)
+                            dr.set_grad(color, gradient)
+                            dr.enqueue(dr.ADMode.Backward, color)
+                            dr.traverse(dr.ADMode.Backward)
                     # Mitsuba must not free the scene before this has run.
                     dr.eval()
-
-        def _color(self, scene, mode, samples, first, pixels):
-            ray, weight, _ = samples.pixel_rays(first, pixels)
-            radiance, _ = self.tracer(scene, mode).trace(ray, True)
-            return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)
 
     else:
 
@@ -253,6 +248,19 @@ def _is_plain(film) -> bool:
 def _channels(film) -> int:
     """Of a plain film."""
     return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
+
+
+def _color(tracer, samples, first, pixels):
+    """Of each sample of `pixels` pixels from number `first` on."""
+    ray, weight, _ = samples.pixel_rays(first, pixels)
+    radiance, _ = tracer.trace(ray, True)
+    return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)
+
+
+def _of_samples(gradient, channels, first, pixels, spp):
+    """The gradient of each sample of `pixels` pixels from number `first` on, given those of the picture's values."""
+    pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, pixels * spp) // spp
+    return mi.Color3f(*(dr.gather(mi.Float, gradient, channels * pixel + i) for i in range(3))) / spp
 
 
 def _store(film, channels):
