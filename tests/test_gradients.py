@@ -309,7 +309,7 @@ KEYS = [
 
 def through_the_film(monkeypatch, scene):
     """Makes `whitted` take the way of other pictures than those of the box filter."""
-    monkeypatch.setattr(sys.modules[type(scene.integrator()).__module__], "_is_plain", lambda film: False)
+    monkeypatch.setattr(sys.modules[type(scene.integrator()).__module__], "is_plain", lambda film: False)
 
 
 @pytest.mark.parametrize("spp", (1, 4, 5))

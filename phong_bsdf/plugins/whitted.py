@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.camera import CameraSamples
+from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, splat, store
 from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
 from phong_bsdf.tracer import Memory, Tracer
@@ -133,7 +134,7 @@ class Whitted(Base):
         return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
 
     def _needs_block(self, film, spp) -> bool:
-        return spp > 1 or "film block" in self.keep or not _is_plain(film)
+        return spp > 1 or "film block" in self.keep or not is_plain(film)
 
     if IS_JIT:
 
@@ -155,7 +156,7 @@ class Whitted(Base):
                 channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
                 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
                     channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
-                return _store(film, channels)
+                return store(film, channels)
 
         def _render_passes(self, samples, tracer, film):
             block = film.create_block()
@@ -178,11 +179,11 @@ class Whitted(Base):
             """The derivative of the picture, of its shape, in the direction of the gradients that `params` hold."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
-            if not _is_plain(film):
+            if not is_plain(film):
                 return super().render_forward(scene, params, sensor, seed, spp)
             with dr.suspend_grad():
                 samples, spp = self.prepare(sensor, seed, spp)
-                channels = [[] for _ in range(_channels(film))]
+                channels = [[] for _ in range(channel_count(film))]
                 for first, pixels in samples.passes():
                     with dr.resume_grad():
                         color = _color(self.tracer(scene, dr.ADMode.Forward), samples, first, pixels)
@@ -204,13 +205,13 @@ class Whitted(Base):
             """
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
-            if not _is_plain(film):
+            if not is_plain(film):
                 super().render_backward(scene, params, grad_in, sensor, seed, spp)
                 return
             with dr.suspend_grad():
                 samples, spp = self.prepare(sensor, seed, spp)
                 for first, pixels in samples.passes():
-                    gradient = _of_samples(grad_in.array, _channels(film), first, pixels, spp)
+                    gradient = gradient_of_samples(grad_in.array, channel_count(film), first, pixels, spp)
                     with dr.resume_grad():
                         tracer = self.tracer(scene, dr.ADMode.Backward)
                         # Loops are traced once less then, but a loop over lights in them cannot do without.
@@ -234,20 +235,9 @@ class Whitted(Base):
             for index in range(samples.count):
                 ray, weight, position = samples.rays(index)
                 radiance, valid = tracer.trace(ray, True)
-                _splat(block, film, position, radiance * weight, ray.wavelengths, valid)
+                splat(block, film, position, radiance * weight, ray.wavelengths, valid)
             film.put_block(block)
             return film.develop() if develop else mi.TensorXf()
-
-
-def _is_plain(film) -> bool:
-    """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
-    special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
-    return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
-
-
-def _channels(film) -> int:
-    """Of a plain film."""
-    return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
 
 
 def _color(tracer, samples, first, pixels):
@@ -255,38 +245,6 @@ def _color(tracer, samples, first, pixels):
     ray, weight, _ = samples.pixel_rays(first, pixels)
     radiance, _ = tracer.trace(ray, True)
     return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)
-
-
-def _of_samples(gradient, channels, first, pixels, spp):
-    """The gradient of each sample of `pixels` pixels from number `first` on, given those of the picture's values."""
-    pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, pixels * spp) // spp
-    return mi.Color3f(*(dr.gather(mi.Float, gradient, channels * pixel + i) for i in range(3))) / spp
-
-
-def _store(film, channels):
-    """The picture of one value for each pixel and channel. The film gets it, too, but in a form that costs nothing
-    until somebody develops the film."""
-    width, height = (int(side) for side in film.crop_size())
-    n = len(channels)
-    channels[0] = channels[0] + dr.zeros(mi.Float, width * height)
-    image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
-    index = dr.arange(mi.UInt32, width * height * (n + 1))
-    pixel = index // (n + 1)
-    channel = index - pixel * (n + 1)
-    weighted = dr.select(channel < n, dr.gather(mi.Float, image, pixel * n + channel, channel < n), 1)
-    film.put_block(mi.ImageBlock(mi.TensorXf(weighted, (height, width, n + 1)), mi.ScalarPoint2i(film.crop_offset())))
-    return mi.TensorXf(image, (height, width, n))
-
-
-def _splat(block, film, position, value, wavelengths, valid):
-    value = mi.unpolarized_spectrum(value)
-    alpha = float(valid)
-    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=1, alpha=alpha))
-        return
-    rgb = mi.spectrum_to_srgb(value, wavelengths) if mi.is_spectral else mi.Color3f(value)
-    channels = [*rgb, alpha] if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else [*rgb]
-    block.put(position, [*channels, 1.0])
 
 
 mi.register_integrator("whitted", Whitted)
