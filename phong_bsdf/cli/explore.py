@@ -8,8 +8,8 @@ from .session import errors
 
 
 @click.command()
-@click.option("-o", "--output", "path", default="phong-explorer.html", show_default=True, type=click.Path(path_type=Path),
-              help="The page, an .html file.")  # fmt: skip
+@click.option("-o", "--output", "path", default="phong-explorer.html", show_default=True,
+              type=click.Path(path_type=Path), help="The page, an .html file.")  # fmt: skip
 @click.option("--open", "opens", is_flag=True, help="Show it in the browser.")
 def explore(path, opens):
     """Write the explorer: a page that shades a ball live, with sliders for everything in the formula."""
