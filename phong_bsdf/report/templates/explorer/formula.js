@@ -48,8 +48,8 @@ function formulaRows(found, s, chosen) {
       physical ? `π ${sub(k, "s")} <i>c</i>(<i>p</i>) <i>I</i> ${near} ${dots}<sup><i>p</i></sup> (n·l)` : `${sub(k, "s")} <i>I</i> ${near} ${dots}<sup><i>p</i></sup>`,
       zero(physical ? `π · ${digits(m.ks)} · ${digits(m.c)} · ${intensity}${arrives} · ${cos}${exponent} · ${cosineText(light.nl)}`
         : `${digits(m.ks)} · ${intensity}${arrives} · ${cos}${exponent}`), highlight],
-    [`<i>L</i> <small>own</small>`, `Σ (${sub("L", "d")} + ${sub("L", "s")})`, found.lights.map((one) => colourText(one.sum)).join(" + "), found.local],
-    [`<i>L</i>`, `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) <i>L</i>`,
+    [sub("L", "own"), `Σ (${sub("L", "d")} + ${sub("L", "s")})`, found.lights.map((one) => colourText(one.sum)).join(" + "), found.local],
+    [`<i>L</i>`, `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) ${sub("L", "own")}`,
       m.km > 0 ? `${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
         : "<i>k</i><sub>m</sub> = 0: no mirror", found.result],
   ];
