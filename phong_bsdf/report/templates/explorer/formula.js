@@ -15,7 +15,12 @@ const cosineText = (c) => {
   return c.toFixed(Math.min(Math.ceil(-Math.log10(rest)) + 2, 15));
 };
 
-const colourText = (c) => (c[0] === c[1] && c[1] === c[2] ? digits(c[0]) : `(${c.map(digits).join(", ")})`);
+// Three channels take as many digits as they need not to jump about.
+function colourText(c) {
+  if (c[0] === c[1] && c[1] === c[2]) return digits(c[0]);
+  const largest = Math.max(...c);
+  return `(${c.map((x) => (largest >= 0.01 && largest < 100 ? x.toFixed(3) : digits(x))).join(", ")})`;
+}
 const swatch = (c, s) => {
   const bytes = c.map((x) => Math.round(255 * (s.display === "srgb" ? encoded(clamp(x, 0, 1)) : clamp(x, 0, 1))));
   return `<span class="swatch" style="background: rgb(${bytes.join(",")})"></span>`;
@@ -48,8 +53,8 @@ function formulaRows(found, s, chosen) {
       physical ? `π ${sub(k, "s")} <i>c</i>(<i>p</i>) <i>I</i> ${near} ${dots}<sup><i>p</i></sup> (n·l)` : `${sub(k, "s")} <i>I</i> ${near} ${dots}<sup><i>p</i></sup>`,
       zero(physical ? `π · ${digits(m.ks)} · ${digits(m.c)} · ${intensity}${arrives} · ${cos}${exponent} · ${cosineText(light.nl)}`
         : `${digits(m.ks)} · ${intensity}${arrives} · ${cos}${exponent}`), highlight],
-    [sub("L", "own"), `Σ (${sub("L", "d")} + ${sub("L", "s")})`, found.lights.map((one) => colourText(one.sum)).join(" + "), found.local],
-    [`<i>L</i>`, `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) ${sub("L", "own")}`,
+    ["Σ", `all ${sub("L", "d")} + ${sub("L", "s")}`, found.lights.map((one) => colourText(one.sum)).join(" + "), found.local],
+    [`<i>L</i>`, `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) Σ`,
       m.km > 0 ? `${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
         : "<i>k</i><sub>m</sub> = 0: no mirror", found.result],
   ];

@@ -42,11 +42,11 @@ function drawPoint() {
   const other = s.lobe === "phong" ? "blinnphong" : "phong";
   find("#legend").innerHTML = [["lobe", LOBES[s.lobe].name], ["other", `${LOBES[other].name}, same p`], ["diffuse", "diffuse part"]]
     .map(([kind, text]) => `<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="${kind}" d="M1,6 H25"/></svg>${text}</li>`).join("");
-  find("#formula-note").textContent = found.material.scale < 1
-    ? `ρd + ρs would exceed 1: both are multiplied by ${found.material.scale.toPrecision(3)}.`
-    : !found.visible ? "The viewer does not see this point."
-      : `A point of the ${found.surface === "ball" ? "ball" : "board"}; its pixel is the mean of four such points.`;
-  return found;
+  const { scale } = found.material, where = found.surface === "ball" ? "ball" : "board";
+  find("#formula-note").textContent = [
+    scale < 1 ? `ρd + ρs would exceed 1: both are times ${scale.toPrecision(3)}.` : "",
+    !found.visible ? "The viewer does not see this point." : scale === 1 ? `A point of the ${where}; its pixel is the mean of four such points.` : "",
+  ].join(" ");
 }
 
 const refresh = bindControls(state, change);
@@ -203,7 +203,7 @@ find("#show-arrows").addEventListener("change", drawPoint);
 
 function begin(s, words) {
   change(() => Object.assign(state, { s, light: 0, probe: null }));
-  find("#words").textContent = words;
+  find("#words").innerHTML = words.replace(/\b([kL])_(\w)/g, "<i>$1</i><sub>$2</sub>");
 }
 
 const WELCOME = "Choose an example, move a slider, or drag on the picture. The point under the mouse is the one in the plot and in the formula; a click keeps it.";

@@ -36,7 +36,7 @@ const DEFAULTS = {
     { azimuth: 180, elevation: 35, distance: 5, intensity: 0.5, colour: "#ffffff" },
     { azimuth: 0, elevation: 85, distance: 5, intensity: 0.5, colour: "#ffffff" },
   ],
-  point: { on: "ball", at: [-8, 38] },
+  point: { on: "ball", at: [-9, 33] },
 };
 
 // The package's formulas (lobes.py) in float64: there a cosine is rounded by 1e-16, which at p = 1e6 changes its power

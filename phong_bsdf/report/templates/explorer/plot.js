@@ -58,7 +58,14 @@ function rings(svg, limit) {
   drawn(svg, "path", { class: "ring", d: `M${ORIGIN[0] - ARM - 22},${ORIGIN[1]} h${2 * ARM + 44}` });
 }
 
-function arrow(svg, name, from, to, label = name) {
+// A label beside the end of an arrow, where none of the labels `taken` is.
+function labelled(group, name, [x, y], [ux, uy], taken) {
+  while (taken.some(([a, b]) => Math.hypot(x - a, y - b) < 13)) [x, y] = [x - 4 * uy, y + 4 * ux];
+  taken.push([x, y]);
+  drawn(group, "text", { x, y, "text-anchor": "middle", "dominant-baseline": "central" }, name);
+}
+
+function arrow(svg, name, from, to, taken) {
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]], length = Math.hypot(dx, dy);
   const group = drawn(svg, "g", { class: `arrow vector-${name}` });
   if (length > 4) {
@@ -69,15 +76,16 @@ function arrow(svg, name, from, to, label = name) {
     drawn(group, "path", {
       class: "head", d: `M${to} L${back[0] - 4.2 * uy},${back[1] + 4.2 * ux} L${back[0] + 4.2 * uy},${back[1] - 4.2 * ux} Z`,
     });
-    drawn(group, "text", { x: to[0] + 12 * ux, y: to[1] + 12 * uy, "text-anchor": "middle", "dominant-baseline": "central" }, label);
+    labelled(group, name, [to[0] + 12 * ux, to[1] + 12 * uy], [ux, uy], taken);
   } else {
     drawn(group, "circle", { class: "head", cx: from[0], cy: from[1], r: 3.5 });
-    drawn(group, "text", { x: from[0] + 12, y: from[1] - 12, "text-anchor": "middle" }, label);
+    labelled(group, name, [from[0] + 12, from[1] - 12], [1, 0], taken);
   }
 }
 
-// Vectors of the drawing, in the order in which they are drawn.
-const vectors = (found) => [["n", found.n], ["r", found.light.r], ["l", found.light.l], ["h", found.light.h], ["v", found.v]];
+// Vectors of the drawing, in the order in which they are drawn; a light behind the surface has no r and no h.
+const vectors = ({ n, v, light: { l, r, h, nl } }) =>
+  [["n", n], ["r", r], ["l", l], ["h", h], ["v", v]].filter(([name]) => nl > 0 || !"rh".includes(name));
 
 function drawPlot(svg, found, world, s) {
   svg.replaceChildren();
@@ -94,7 +102,8 @@ function drawPlot(svg, found, world, s) {
     drawn(svg, "path", { class: "diffuse", d: outline(seenAngles, () => diffuse, limit) });
   }
   const flat = (v) => [ORIGIN[0] + ARM * dot(v, t), ORIGIN[1] - ARM * dot(v, found.n)];
-  for (const [name, v] of vectors(found)) if (nl > 0 || name === "n" || name === "v" || name === "l") arrow(svg, name, ORIGIN, flat(v));
+  const taken = [];
+  for (const [name, v] of vectors(found)) arrow(svg, name, ORIGIN, flat(v), taken);
   if (found.nv > 0 && nl > 0) {
     const value = Math.max(...found.material.kd) * found.light.diffuse + found.light.highlight;
     const v = flat(found.v), length = Math.max(Math.hypot(v[0] - ORIGIN[0], v[1] - ORIGIN[1]), 1e-6);
@@ -122,9 +131,8 @@ function drawOverlay(svg, found, world, arrows) {
     drawn(svg, "path", { class: "circle", d: path.join(" ") });
   }
   if (arrows && found.visible) {
-    for (const [name, v] of vectors(found)) {
-      if (found.light.nl > 0 || !"rh".includes(name)) arrow(svg, name, at, place(add(found.p, scaled(v, name === "v" ? 1.4 : 0.75))));
-    }
+    const taken = [];
+    for (const [name, v] of vectors(found)) arrow(svg, name, at, place(add(found.p, scaled(v, name === "v" ? 1.4 : 0.75))), taken);
   }
   drawn(svg, "circle", { class: found.visible ? "point" : "point hidden", cx: at[0], cy: at[1], r: 6 });
 }
