@@ -3,7 +3,10 @@
 import base64
 import io
 import math
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import mitsuba as mi
@@ -397,13 +400,14 @@ def test_every_control_has_a_name_and_a_ring(page):
     } <= reached
 
 
-@pytest.mark.parametrize("width", (390, 820, 1300))
-@pytest.mark.parametrize("scheme", ("light", "dark"))
+@pytest.mark.parametrize(("width", "scheme"), ((390, "dark"), (820, "light"), (1300, "dark")))
 def test_page_fits_any_screen_and_stays_put(page, width, scheme):
     """Nothing scrolls sideways, nothing moves when numbers change, and nothing is animated."""
     page.set_viewport_size({"width": width, "height": 800})
     page.emulate_media(color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (ground == "rgb(255, 255, 255)") == (scheme == "light")
     choose(page, "terms=physical&p=200&kd=0.9&ks=0.9")
     watched = ("#picture", "#plot", "#formula", "#controls", "#copy")
     before = [page.locator(x).bounding_box() for x in watched]
@@ -415,6 +419,17 @@ def test_page_fits_any_screen_and_stays_put(page, width, scheme):
         assert [page.locator(x).bounding_box() for x in watched] == before
     assert "does not see" in page.locator("#formula-note").inner_text()
     assert page.evaluate("document.getAnimations().length") == 0
+
+
+def test_opens_in_the_browser(tmp_path):
+    """`--open` hands the page to the user's browser; here one that notes what it is given."""
+    browser, noted = tmp_path / "browser", tmp_path / "noted"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {noted}\n')
+    browser.chmod(0o755)
+    command = [sys.executable, "-m", "phong_bsdf", "explore", "--open", "-o", str(tmp_path / "page.html")]
+    child = subprocess.run(command, env={**os.environ, "BROWSER": f"{browser} %s"}, capture_output=True, text=True)
+    assert (child.returncode, child.stderr) == (0, "")
+    assert noted.read_text().strip() == (tmp_path / "page.html").as_uri()
 
 
 def test_refuses_what_is_no_page(tmp_path):

@@ -1,5 +1,6 @@
 """`phong-bsdf explore`."""
 
+import webbrowser
 from pathlib import Path
 
 import click
@@ -24,5 +25,5 @@ def explore(path, opens):
         path.parent.mkdir(parents=True, exist_ok=True)
         explorer.write(path)
     click.echo(f"The page: {path}")
-    if opens:
-        click.launch(path.resolve().as_uri())
+    if opens and not webbrowser.open(path.resolve().as_uri()):
+        click.echo("There is no browser that could show it.", err=True)

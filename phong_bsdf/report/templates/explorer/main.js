@@ -176,7 +176,10 @@ canvas.addEventListener("keydown", (event) => {
 
 // Buttons ---------------------------------------------------------------------------------------
 
+let forgetting = 0;
+
 async function copy(text, what) {
+  clearTimeout(forgetting);
   find("#copied").textContent = "";
   try {
     await navigator.clipboard.writeText(text);
@@ -190,7 +193,7 @@ async function copy(text, what) {
     area.remove();
   }
   find("#copied").textContent = `${what} copied`;
-  setTimeout(() => { find("#copied").textContent = ""; }, 3000);
+  forgetting = setTimeout(() => { find("#copied").textContent = ""; }, 3000);
 }
 
 find("#copy").addEventListener("click", () => copy(sceneXml(state.s), "XML"));
