@@ -3,11 +3,7 @@
 import base64
 import io
 import math
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -19,7 +15,6 @@ from PIL import Image
 from phong_bsdf import images, lobes
 from phong_bsdf.cli import main
 
-ROOT = Path(__file__).parent.parent
 READY = "#picture[data-ready]"
 pytestmark = pytest.mark.slow
 
@@ -266,6 +261,10 @@ def test_sliders_and_numbers_agree(page):
     number.fill("1e9")
     number.press("Enter")
     assert value(page, "p") == 1e6
+    number.press("ArrowDown")
+    page.locator('[data-number="kd"]').press("ArrowUp")
+    assert (value(page, "p"), value(page, "kd")) == (980000, 0.81)
+    slider.fill("700")
     number.fill("")
     number.blur()
     assert value(page, "p") == 1e6
@@ -319,6 +318,8 @@ def test_point_under_the_mouse_and_the_one_kept(page):
     page.locator("#to-highlight").click()
     drawn(page)
     assert "∠(n, h) 0.0°" in angles.inner_text()
+    choose(page, "floor=none&point=floor,1,1")
+    assert "point=" not in clipboard(page, "#copy-link")
     choose(page, "point=ball,40,0")
     assert "out of this plane" in page.locator("#plot-note").inner_text()
     page.locator("#to-plane").click()
@@ -419,28 +420,3 @@ def test_page_fits_any_screen_and_stays_put(page, width, scheme):
         assert [page.locator(x).bounding_box() for x in watched] == before
     assert "does not see" in page.locator("#formula-note").inner_text()
     assert page.evaluate("document.getAnimations().length") == 0
-
-
-def test_opens_in_the_browser(tmp_path):
-    """`--open` hands the page to the user's browser; here one that notes what it is given."""
-    browser, noted = tmp_path / "browser", tmp_path / "noted"
-    browser.write_text(f'#!/bin/sh\necho "$1" > {noted}\n')
-    browser.chmod(0o755)
-    command = [sys.executable, "-m", "phong_bsdf", "explore", "--open", "-o", str(tmp_path / "page.html")]
-    child = subprocess.run(command, env={**os.environ, "BROWSER": f"{browser} %s"}, capture_output=True, text=True)
-    assert (child.returncode, child.stderr) == (0, "")
-    assert noted.read_text().strip() == (tmp_path / "page.html").as_uri()
-
-
-def test_refuses_what_is_no_page(tmp_path):
-    """Before anything is written."""
-    (tmp_path / "folder.html").mkdir()
-    (tmp_path / "file").write_text("")
-    for wrong in ("page.txt", "folder.html", "file/page.html"):
-        result = CliRunner().invoke(main, ["explore", "-o", str(tmp_path / wrong)])
-        assert result.exit_code == 2 and result.stderr.startswith("Error: '")
-
-
-def test_page_in_the_documents_is_current(path):
-    """docs/explorer/index.html is what the command writes."""
-    assert (ROOT / "docs/explorer/index.html").read_text() == path.read_text()

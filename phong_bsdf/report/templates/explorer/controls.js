@@ -22,6 +22,15 @@ function bindControls(state, change) {
     input.max = range(name)[1];
     const valid = () => input.value !== "" && Number.isFinite(input.valueAsNumber);
     input.addEventListener("input", () => { if (valid() && input.checkValidity()) set(name, input.valueAsNumber); });
+    // A step of a number is that of its slider.
+    input.addEventListener("keydown", (event) => {
+      if (event.key !== "ArrowUp" && event.key !== "ArrowDown") return;
+      const slider = find(`[data-range="${name}"]`);
+      slider[event.key === "ArrowUp" ? "stepUp" : "stepDown"]();
+      slider.dispatchEvent(new Event("input"));
+      show(input);
+      event.preventDefault();
+    });
     // What is out of range becomes the nearest that is not.
     input.addEventListener("change", () => {
       if (valid()) set(name, clamp(input.valueAsNumber, ...range(name)));
@@ -37,8 +46,11 @@ function bindControls(state, change) {
       state.light = Math.min(state.light, state.s.count - 1);
     }));
   }
-  for (const radio of all('[name="light"]')) radio.addEventListener("change", () => change(() => { state.light = Number(radio.value); }));
-  for (const radio of all('[name="move"]')) radio.addEventListener("change", () => change(() => { state.move = radio.value; }));
+  const choose = (name, convert) => all(`[name="${name}"]`).forEach((radio) => {
+    radio.addEventListener("change", () => change(() => { state[name] = convert(radio.value); }));
+  });
+  choose("light", Number);
+  choose("move", String);
   find("#colour").addEventListener("input", (event) => set("colour", event.target.value));
   find("#light-colour").addEventListener("input", (event) => set("light.colour", event.target.value));
   find("#falloff").addEventListener("change", (event) => set("falloff", event.target.checked));

@@ -21,6 +21,7 @@ function colourText(c) {
   const largest = Math.max(...c);
   return `(${c.map((x) => (largest >= 0.01 && largest < 100 ? x.toFixed(3) : digits(x))).join(", ")})`;
 }
+
 const swatch = (c, s) => {
   const bytes = c.map((x) => Math.round(255 * (s.display === "srgb" ? encoded(clamp(x, 0, 1)) : clamp(x, 0, 1))));
   return `<span class="swatch" style="background: rgb(${bytes.join(",")})"></span>`;
@@ -34,35 +35,44 @@ function angleText(found) {
     .map(([pair, cosine]) => `<span>∠(${pair}) <b>${degrees(cosine)}</b></span>`).join("");
 }
 
+// Why a light adds nothing at the point; empty where it does.
+function darkness({ nv, light }) {
+  if (light.shadow) return "in the shadow";
+  if (light.nl <= 0) return "the light is behind the surface";
+  return nv <= 0 ? "seen from behind" : "";
+}
+
 // Rows of [name, formula, numbers, result].
 function formulaRows(found, s, chosen) {
-  const { material: m, light } = found, physical = m.physical, k = physical ? "ρ" : "k", phong = s.lobe === "phong";
-  const many = s.count > 1 ? ` <small>light ${chosen + 1}</small>` : "";
-  const dots = phong ? "(r·v)" : "(n·h)", cosine = phong ? light.rv : light.nh;
-  const intensity = colourText(light.colour), near = s.falloff ? `(5/<i>d</i>)²` : "";
-  const arrives = s.falloff ? ` · ${digits((REFERENCE_DISTANCE / light.distance) ** 2)}` : "";
-  const lit = light.nl > 0 && found.nv > 0;
-  const zero = (text) => (light.shadow ? "in the shadow" : light.nl <= 0 ? "the light is behind the surface" : found.nv <= 0 ? "seen from behind" : text);
+  const { material: m, light } = found, k = m.physical ? "ρ" : "k", phong = s.lobe === "phong";
+  const many = s.count > 1 ? ` <small>light ${chosen + 1}</small>` : "", dark = darkness(found);
+  const cosine = cosineText(Math.max(phong ? light.rv : light.nh, 0)), nl = cosineText(light.nl);
+  const factor = `${phong ? "(r·v)" : "(n·h)"}<sup><i>p</i></sup>`, raised = `${cosine}<sup>${digits(m.p)}</sup>`;
+  const near = s.falloff ? "(5/<i>d</i>)²" : "";
+  const arrives = colourText(light.colour) + (s.falloff ? ` · ${digits((REFERENCE_DISTANCE / light.distance) ** 2)}` : "");
   const part = (scale) => scaled(light.colour, light.incoming * scale);
-  const diffuse = [0, 1, 2].map((i) => part(light.diffuse)[i] * m.kd[i]), highlight = part(light.highlight);
-  const cos = cosineText(Math.max(lit ? light.cosine : cosine, 0)), exponent = `<sup>${digits(m.p)}</sup>`;
+  const diffuse = part(light.diffuse).map((x, i) => x * m.kd[i]), highlight = part(light.highlight);
+  const own = (name) => `${sub("L", name)}${many}`;
+  const specular = m.physical
+    ? [`π ${sub("ρ", "s")} <i>c</i>(<i>p</i>) <i>I</i> ${near} ${factor} (n·l)`,
+      `π · ${digits(m.ks)} · ${digits(m.c)} · ${arrives} · ${raised} · ${nl}`]
+    : [`${sub("k", "s")} <i>I</i> ${near} ${factor}`, `${digits(m.ks)} · ${arrives} · ${raised}`];
+  const mirror = m.km > 0
+    ? `${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
+    : `${sub("k", "m")} = 0: no mirror`;
+  const sums = found.lights.map((one) => colourText(one.sum)).join(" + ");
   return [
-    [`${sub("L", "d")}${many}`, `${sub(k, "d")} <i>I</i> ${near} (n·l)`,
-      zero(`${colourText(m.kd)} · ${intensity}${arrives} · ${cosineText(light.nl)}`), diffuse],
-    [`${sub("L", "s")}${many}`,
-      physical ? `π ${sub(k, "s")} <i>c</i>(<i>p</i>) <i>I</i> ${near} ${dots}<sup><i>p</i></sup> (n·l)` : `${sub(k, "s")} <i>I</i> ${near} ${dots}<sup><i>p</i></sup>`,
-      zero(physical ? `π · ${digits(m.ks)} · ${digits(m.c)} · ${intensity}${arrives} · ${cos}${exponent} · ${cosineText(light.nl)}`
-        : `${digits(m.ks)} · ${intensity}${arrives} · ${cos}${exponent}`), highlight],
-    ["Σ", `all ${sub("L", "d")} + ${sub("L", "s")}`, found.lights.map((one) => colourText(one.sum)).join(" + "), found.local],
-    [`<i>L</i>`, `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) Σ`,
-      m.km > 0 ? `${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
-        : "<i>k</i><sub>m</sub> = 0: no mirror", found.result],
+    [own("d"), `${sub(k, "d")} <i>I</i> ${near} (n·l)`, dark || `${colourText(m.kd)} · ${arrives} · ${nl}`, diffuse],
+    [own("s"), specular[0], dark || specular[1], highlight],
+    ["Σ", `all ${sub("L", "d")} + ${sub("L", "s")}`, sums, found.local],
+    ["<i>L</i>", `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) Σ`, mirror, found.result],
   ];
 }
 
 function writeFormula(body, found, s, chosen) {
   body.innerHTML = formulaRows(found, s, chosen).map(([name, formula, numbers, result]) =>
-    `<div><dt>${name} = ${formula}</dt><dd class="numbers" tabindex="-1">= ${numbers}</dd><dd class="result">= ${colourText(result)} ${swatch(result, s)}</dd></div>`).join("");
+    `<div><dt>${name} = ${formula}</dt><dd class="numbers">= ${numbers}</dd>
+      <dd class="result">= ${colourText(result)} ${swatch(result, s)}</dd></div>`).join("");
 }
 
 // For those who hear the page.
@@ -71,5 +81,6 @@ function spoken(found, s) {
   const where = found.surface === "ball" ? "Ball" : "Board";
   const { nl, rv, nh, shadow } = found.light;
   const cosine = s.lobe === "phong" ? `r dot v ${plain(rv)}` : `n dot h ${plain(nh)}`;
-  return `${where}: n dot l ${plain(nl)}, ${cosine}${shadow ? ", in the shadow" : ""}, L ${found.result.map(plain).join(", ")}`;
+  const shade = shadow ? ", in the shadow" : "";
+  return `${where}: n dot l ${plain(nl)}, ${cosine}${shade}, L ${found.result.map(plain).join(", ")}`;
 }

@@ -37,15 +37,19 @@ function drawPoint() {
   find("#plot-angles").innerHTML = angleText(found);
   find("#plot-note").textContent = [
     leaning > 1 ? `v leans ${leaning.toFixed(0)}° out of this plane.` : "n, l and v lie in this plane.",
-    found.light.nl <= 0 ? "The light is behind the surface." : peak > limit ? `The peak, ${peak.toPrecision(3)}, is beyond the edge.` : "",
+    found.light.nl <= 0 ? "The light is behind the surface."
+      : found.light.shadow ? "Something is between point and light."
+      : peak > limit ? `The peak, ${peak.toPrecision(3)}, is beyond the edge.` : "",
   ].join(" ");
   const other = s.lobe === "phong" ? "blinnphong" : "phong";
-  find("#legend").innerHTML = [["lobe", LOBES[s.lobe].name], ["other", `${LOBES[other].name}, same p`], ["diffuse", "diffuse part"]]
-    .map(([kind, text]) => `<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="${kind}" d="M1,6 H25"/></svg>${text}</li>`).join("");
+  const legend = { lobe: LOBES[s.lobe].name, other: `${LOBES[other].name}, same p`, diffuse: "diffuse part" };
+  find("#legend").innerHTML = Object.entries(legend).map(([kind, text]) =>
+    `<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="${kind}" d="M1,6 H25"/></svg>${text}</li>`).join("");
   const { scale } = found.material, where = found.surface === "ball" ? "ball" : "board";
   find("#formula-note").textContent = [
-    scale < 1 ? `ρd + ρs would exceed 1: both are times ${scale.toPrecision(3)}.` : "",
-    !found.visible ? "The viewer does not see this point." : scale === 1 ? `A point of the ${where}; its pixel is the mean of four such points.` : "",
+    scale < 1 ? `ρd + ρs would exceed 1: both are scaled by ${scale.toPrecision(3)}.` : "",
+    !found.visible ? "The viewer does not see this point."
+      : scale === 1 ? `A point of the ${where}; its pixel is the mean of four such points.` : "",
   ].join(" ");
 }
 
@@ -55,6 +59,7 @@ let speaking = 0;
 // Change the settings, draw all.
 function change(edit) {
   edit();
+  if (state.s.floor === "none" && state.s.point.on === "floor") state.s.point = copied(DEFAULTS.point);
   delete canvas.dataset.ready;
   clearTimeout(rest);
   world = compile(state.s);
@@ -148,7 +153,7 @@ function step([dx, dy], far) {
     const [x, y] = world.camera.place(surfacePoint(state.s.point).p), length = far ? 24 : 4;
     pin(x + dx * length, y + dy * length);
   } else {
-    // What is seen follows the arrow: the light moves that way, the viewer around the ball the same way.
+    // Around the ball to the right, or up.
     turn(dx * (far ? 10 : 2), -dy * (far ? 10 : 2));
   }
   speak();
@@ -201,7 +206,9 @@ find("#copy-link").addEventListener("click", () => {
   copy(`${location.href.split("#")[0]}#${toHash(state.s)}`, "Address");
 });
 find("#to-highlight").addEventListener("click", toHighlight);
-find("#to-plane").addEventListener("click", () => change(() => { state.s.point = planePoint(world, state.light, state.s.point); }));
+find("#to-plane").addEventListener("click", () => change(() => {
+  state.s.point = planePoint(world, state.light, state.s.point);
+}));
 find("#show-arrows").addEventListener("change", drawPoint);
 
 function begin(s, words) {
@@ -209,7 +216,8 @@ function begin(s, words) {
   find("#words").innerHTML = words.replace(/\b([kL])_(\w)/g, "<i>$1</i><sub>$2</sub>");
 }
 
-const WELCOME = "Choose an example, move a slider, or drag on the picture. The point under the mouse is the one in the plot and in the formula; a click keeps it.";
+const WELCOME = "Choose an example, move a slider, or drag on the picture. "
+  + "The point under the mouse is the one in the plot and in the formula; a click keeps it.";
 find("#reset").addEventListener("click", () => begin(copied(DEFAULTS), WELCOME));
 for (const example of PRESETS) {
   const button = document.createElement("button");

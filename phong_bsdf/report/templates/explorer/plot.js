@@ -108,9 +108,8 @@ function drawPlot(svg, found, world, s) {
     const value = Math.max(...found.material.kd) * found.light.diffuse + found.light.highlight;
     const v = flat(found.v), length = Math.max(Math.hypot(v[0] - ORIGIN[0], v[1] - ORIGIN[1]), 1e-6);
     const radius = ARM * Math.min(value / limit, 1.06);
-    drawn(svg, "circle", {
-      class: "value", r: 5, cx: ORIGIN[0] + ((v[0] - ORIGIN[0]) / length) * radius, cy: ORIGIN[1] + ((v[1] - ORIGIN[1]) / length) * radius,
-    });
+    const [cx, cy] = ORIGIN.map((start, i) => start + ((v[i] - start) / length) * radius);
+    drawn(svg, "circle", { class: "value", r: 5, cx, cy });
   }
   const leaning = Math.asin(clamp(Math.abs(dot(found.v, cross(found.n, t))), 0, 1)) / RADIANS;
   return { peak, limit, leaning };
@@ -132,7 +131,9 @@ function drawOverlay(svg, found, world, arrows) {
   }
   if (arrows && found.visible) {
     const taken = [];
-    for (const [name, v] of vectors(found)) arrow(svg, name, at, place(add(found.p, scaled(v, name === "v" ? 1.4 : 0.75))), taken);
+    // The one toward the viewer is seen from its end.
+    const end = (name, v) => place(add(found.p, scaled(v, name === "v" ? 1.4 : 0.75)));
+    for (const [name, v] of vectors(found)) arrow(svg, name, at, end(name, v), taken);
   }
   drawn(svg, "circle", { class: found.visible ? "point" : "point hidden", cx: at[0], cy: at[1], r: 6 });
 }

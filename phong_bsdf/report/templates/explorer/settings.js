@@ -1,6 +1,7 @@
 // The address keeps what differs from the defaults: #lobe=phong&p=100&light1=-50,45,5,1,ffffff
 const CHOICES = {
-  lobe: ["phong", "blinnphong"], terms: ["lecture", "physical"], floor: ["none", "matte", "glossy"], display: ["linear", "srgb"],
+  lobe: ["phong", "blinnphong"], terms: ["lecture", "physical"],
+  floor: ["none", "matte", "glossy"], display: ["linear", "srgb"],
 };
 const RANGES = {
   kd: [0, 1], ks: [0, 1], p: [0, 1e6], km: [0, 1], azimuth: [-180, 180], elevation: [0, 85], count: [1, 4],
