@@ -5,7 +5,7 @@ BIN = .venv/bin
 READY = .venv/ready
 LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml))
 
-.PHONY: demo test check bench docs figures study clean
+.PHONY: demo test check bench docs figures study gallery explorer clean
 
 demo: $(LECTURE)
 	@echo "The lecture's pictures are in $(CURDIR)/out"
@@ -31,7 +31,14 @@ figures: $(READY)
 study: $(READY)
 	@$(BIN)/python docs/study.py
 
-docs: figures study
+gallery: $(READY)
+	@$(BIN)/python docs/gallery.py
+
+# The page, and its picture where there is a Chromium.
+explorer: $(READY)
+	@$(BIN)/python docs/explorer.py
+
+docs: figures study gallery explorer
 
 clean:
 	rm -rf .venv out

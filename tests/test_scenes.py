@@ -11,8 +11,8 @@ import phong_bsdf  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 SCENES = sorted(p for p in (ROOT / "scenes").rglob("*.xml") if p.name != "cameras.xml")
-# These have tests of their own: tests/test_check.py, test_pytest_plugin.py and test_optimization.py run their examples.
-OTHERS = {"inverse-rendering.md", "lecturers.md", "test-authors.md"}
+# These have tests of their own, which run their examples; tests/test_gallery.py holds the gallery to the scenes.
+OTHERS = {"gallery.md", "inverse-rendering.md", "lecturers.md", "test-authors.md"}
 DOCUMENTS = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").glob("*.md")) if p.name not in OTHERS)]
 
 
