@@ -11,11 +11,14 @@ LEAST_SECONDS, TIMES_WRITING = 5, 40
 
 def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show) -> str:
     """Render and write a picture in passes; a line to say about it."""
+    from .. import images
     from ..passes import Store
     from ..progressive import folder as folders
     from ..progressive import planning
 
     with Store(path).opened() as store:
+        for output in picture.outputs:
+            images.remove_leftovers(output)
         held = folders.stored(store)
         if held and not resume:
             count = len(folders.Folder(store, held).finished())

@@ -40,7 +40,7 @@ def claim(store: Store, plan: Plan) -> "Folder":
     passes of another plan."""
     held = stored(store)
     if held and (found := _differences(plan, held)):
-        raise ValueError(f"'{store.folder}' holds passes of another picture: asked for is {'; '.join(found)}. "
+        raise ValueError(f"this is another picture than that of the passes in '{store.folder}': {'; '.join(found)}. "
                          "Choose another folder")  # fmt: skip
     if not held or held.count < plan.count:
         images.replace_file(store.folder / passes.PICTURE, plan.json() + "\n")
@@ -82,7 +82,7 @@ class Folder:
         """Keep a finished pass; once it is there, it counts."""
         samples = self.plan.samples(index)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        made = Pass(samples.spp, samples.seed or 0, index, seconds, 0.0, self.plan.subject.variant,
+        made = Pass(samples.spp, samples.seed, index, seconds, 0.0, self.plan.subject.variant,
                     self.plan.subject.versions, passes.machine(dr.thread_count()), now)  # fmt: skip
         self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]))
 
@@ -91,7 +91,7 @@ class Folder:
         path = self.path(index)
         part = _whole_part(path)
         width, height = self.plan.subject.size
-        image = passes.read_image(path)
+        image = images.read_checked(path)
         if parts.differences(part.subject, self.plan.subject) or part.samples != (self.plan.samples(index),):
             raise ValueError(f"'{path}' is not pass {index} of this picture")
         if image.shape[:2] != (height, width):

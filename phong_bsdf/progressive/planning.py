@@ -46,13 +46,13 @@ class Plan:
 
     def samples(self, index: int) -> Samples:
         """Those of one pass."""
-        seed = rendering.pass_seed(self.seed, index * self.spp) if self.random else None
+        seed = rendering.pass_seed(self.seed, index * self.spp) if self.random else 0
         if not self.grid:
-            return Samples(self.spp, seed, index=index)
+            return Samples(self.spp, seed, self.random, index=index)
         step = self.grid // math.isqrt(self.spp)
         # Neighbouring passes are not neighbouring cells, so that the mean of some is not shifted.
         row, column = divmod(index * _stride(step * step) % (step * step), step)
-        return Samples(self.spp, seed, step, (column, row), index)
+        return Samples(self.spp, seed, self.random, step, (column, row), index)
 
     @property
     def total(self) -> int:
@@ -94,8 +94,7 @@ def load(
 def samples_of(loaded: LoadedScene, subject: Subject, spp: int, seed: int) -> Samples:
     """The samples of a picture that is rendered at once."""
     spp = spp or loaded.sensor(subject.camera).sampler().sample_count()
-    return Samples(samples_taken(loaded, subject.camera, spp),
-                   seed if _draws(loaded, subject.camera, spp) else None)  # fmt: skip
+    return Samples(samples_taken(loaded, subject.camera, spp), seed, _draws(loaded, subject.camera, spp))
 
 
 def plan(loaded: LoadedScene, subject: Subject, *, spp: int = 0, seed: int = 0, pass_spp: int | None = None) -> Plan:

@@ -4,6 +4,8 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
 from .. import camera as cameras
 from .. import parts, rendering
 from ..estimates import WeightedMean
@@ -16,11 +18,11 @@ from .planning import Plan
 def render_pass(
     loaded: LoadedScene, plan: Plan, index: int, on_progress: Callable[[float], None] = lambda share: None
 ) -> Rendering:
-    """Render one pass of a scene that `load` loaded; ValueError where that is not the plan's."""
+    """Render one pass of the plan's scene, as `planning.load` loaded it."""
     samples = plan.samples(index)
     with _part_of_grid(loaded, samples):
         return rendering.render(
-            loaded, camera=plan.subject.camera, spp=plan.asked, seed=samples.seed or 0, on_progress=on_progress
+            loaded, camera=plan.subject.camera, spp=plan.asked, seed=samples.seed, on_progress=on_progress
         )
 
 
