@@ -89,7 +89,9 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_checked(path: Path) -> np.ndarray:
     """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
     try:
-        image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
+        # The library says what is wrong on stdout.
+        with contextlib.redirect_stdout(None):
+            image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
     except (RuntimeError, ValueError):
         image, wanted = None, None
     # Files of other programs have none.
@@ -175,6 +177,16 @@ def _srgb_colors(image: np.ndarray) -> np.ndarray:
     return np.concatenate([srgb(image[..., :alpha]), image[..., alpha:]], axis=-1)
 
 
+def _sync_folder(folder: Path) -> None:
+    """Make sure that a new name survives a power cut, where the system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
 @contextlib.contextmanager
 def _whole(path: Path, keep: bool = True) -> Iterator[str]:
     """A temporary file beside `path`, with its suffix, that becomes `path` if all goes well."""
@@ -190,6 +202,7 @@ def _whole(path: Path, keep: bool = True) -> Iterator[str]:
             os.umask(mask)
             os.chmod(temporary, 0o666 & ~mask)
             os.replace(temporary, path)
+            _sync_folder(path.parent)
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)

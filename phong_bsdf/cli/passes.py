@@ -9,7 +9,7 @@ import click
 LEAST_SECONDS, TIMES_WRITING = 5, 40
 
 
-def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show) -> str:
+def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show) -> str:
     """Render and write a picture in passes; a line to say about it."""
     from .. import images
     from ..passes import Store
@@ -29,7 +29,7 @@ def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show) -> str:
         plan = planning.plan(picture.loaded, picture.subject, spp=spp, seed=seed, pass_spp=pass_spp)
         folder = folders.claim(store, plan)
         try:
-            return _Run(picture, folder, show).render()
+            return _Run(picture, folder, target, show).render()
         except KeyboardInterrupt:
             click.echo(f"Stopped: {_kept(folder)}", err=True)
             raise
@@ -45,29 +45,41 @@ def _kept(folder) -> str:
 class _Run:
     """One rendering of the passes that a folder lacks."""
 
-    def __init__(self, picture, folder, show):
-        self.picture, self.folder, self.show = picture, folder, show
+    def __init__(self, picture, folder, target, show):
+        self.picture, self.folder, self.target, self.show = picture, folder, target, show
         self.plan = folder.plan
         self.there, self.said = len(folder.finished()), "rendering"
         self.written, self.pause = time.perf_counter(), LEAST_SECONDS
 
     def render(self) -> str:
-        from .. import rendering
+        """Render, and write the pictures; a line to say about it."""
         from ..progressive import running
 
         start = time.perf_counter()
-        lights = rendering.count_lights(self.picture.loaded)
         for mean in running.render(self.picture.loaded, self.folder, on_broken=self._broken, on_progress=self._at):
-            last = mean.count == self.plan.count
-            error = mean.relative_error() if last or mean.count > self.there else None
+            error = mean.relative_error()
             self.said = f"pass {mean.count} of {self.plan.count}" + (f", error {percent(error)}" if error else "")
-            if last or self._is_time():
+            if self._is_enough(mean, error):
+                break
+            if time.perf_counter() - self.written > self.pause:
                 self._write(mean)
-        seconds = time.perf_counter() - start
-        there = f", {self.there} of them from before" if self.there else ""
-        return (f"{self.picture.summary(self.plan.total, lights)}; {self.plan.count} passes of {self.plan.spp} spp"
-                f"{there}, error {percent(error)}; loading {self.picture.loaded.seconds:.2f} s, "
-                f"passes {seconds:.2f} s")  # fmt: skip
+        self._write(mean)
+        return self._summary(mean, error, time.perf_counter() - start)
+
+    def _is_enough(self, mean, error) -> bool:
+        from ..progressive import planning
+
+        wanted = self.target is not None and error is not None and mean.count >= planning.LEAST_PASSES
+        return mean.count == self.plan.count or (wanted and 100 * error <= self.target)
+
+    def _summary(self, mean, error, seconds) -> str:
+        from .. import rendering
+
+        loaded, there = self.picture.loaded, min(self.there, mean.count)
+        return (f"{self.picture.summary(mean.samples, rendering.count_lights(loaded))}; "
+                f"{mean.count} pass{'' if mean.count == 1 else 'es'} of {self.plan.spp} spp"
+                f"{f', {there} of them from before' if there else ''}, error {percent(error)}; "
+                f"loading {loaded.seconds:.2f} s, passes {seconds:.2f} s")  # fmt: skip
 
     def _broken(self, text: str) -> None:
         self.there -= 1
@@ -75,9 +87,6 @@ class _Run:
 
     def _at(self, share: float) -> None:
         self.show(self.said, share)
-
-    def _is_time(self) -> bool:
-        return time.perf_counter() - self.written > self.pause
 
     def _write(self, mean) -> None:
         start = time.perf_counter()

@@ -18,17 +18,18 @@ from .session import errors, progress, start
               help="Render in passes, each kept in this folder: a run that ends early has lost nothing.")  # fmt: skip
 @click.option("--pass-spp", type=click.IntRange(min=1),
               help="Samples per pixel of a pass, rounded to a power of two. Default: some seconds' work.")  # fmt: skip
+@click.option("--target-error", type=click.FloatRange(min=0, min_open=True), metavar="PERCENT",
+              help="End after the pass at which the picture's relative standard error is below this.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the passes that the folder holds; with more --spp, add some.")
-def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, resume,
-           verbose):  # fmt: skip
+def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
+           resume, verbose):  # fmt: skip
     """Render a Mitsuba XML SCENE."""
     with errors():
         from .. import images
 
-        if folder is None and (pass_spp or resume):
-            raise ValueError(
-                f"{'--resume' if resume else '--pass-spp'} is for passes; say where they are: --passes DIR"
-            )
+        for option, value in {"--pass-spp": pass_spp, "--target-error": target_error, "--resume": resume}.items():
+            if value and folder is None:
+                raise ValueError(f"{option} is for a picture in passes; say where to keep them: --passes DIR")
         for path in outputs:
             images.check_writable(path)
         if folder is not None:
@@ -45,7 +46,8 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
             else:
                 from .passes import in_passes
 
-                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, resume=resume, show=show)
+                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, target=target_error,
+                                 resume=resume, show=show)  # fmt: skip
     click.echo(said)
 
 
