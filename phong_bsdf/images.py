@@ -65,7 +65,9 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
             else:
                 _write_png(temporary, image, linear)
         except RuntimeError as error:
-            raise OSError(f"'{path}' could not be written: {error}") from None
+            # The library names the temporary file first, then the reason.
+            reason = str(error).rsplit('". ', 1)[-1].rstrip(".")
+            raise OSError(f"'{path}' could not be written: {reason}") from None
 
 
 def read_exr(path: Path) -> np.ndarray:

@@ -144,7 +144,7 @@ def test_plan_travels_as_json():
 def test_passes_of_a_grid_make_its_picture(variant, spp):
     """That of `whitted` without passes, up to the rounding of sums."""
     mi.set_variant(variant)
-    loaded, plan = planned(MIRRORS, size=(12, 8), spp=spp, pass_spp=4)
+    loaded, plan = planned(MIRRORS, size=(6, 4), spp=spp, pass_spp=4)
     pictures = images_of(loaded, plan, range(plan.count))
     mean = sum(picture.astype(float) for picture in pictures.values()) / plan.count
     whole = rendering.render(loaded, spp=spp).image
