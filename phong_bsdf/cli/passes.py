@@ -1,9 +1,8 @@
 """What `phong-bsdf render --passes` does beside rendering: passes that are there, pictures in between, Ctrl-C."""
 
+import sys
 import time
 from pathlib import Path
-
-import click
 
 # Pictures in between are written so often at most, in seconds, and so many times as long apart as writing takes.
 LEAST_SECONDS, TIMES_WRITING = 5, 40
@@ -31,7 +30,7 @@ def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show)
         try:
             return _Run(picture, folder, target, show).render()
         except KeyboardInterrupt:
-            click.echo(f"Stopped: {_kept(folder)}", err=True)
+            _say(f"Stopped: {_kept(folder)}")
             raise
         except OSError as error:
             raise OSError(f"{error}; {_kept(folder)}") from None
@@ -83,7 +82,7 @@ class _Run:
 
     def _broken(self, text: str) -> None:
         self.there -= 1
-        click.echo(f"Warning: {text}; it is rendered again", err=True)
+        _say(f"Warning: {text}; it is rendered again")
 
     def _at(self, share: float) -> None:
         self.show(self.said, share)
@@ -93,6 +92,11 @@ class _Run:
         self.picture.write(mean.image(), [self.plan.samples(index) for index in range(mean.count)])
         self.written = time.perf_counter()
         self.pause = max(LEAST_SECONDS, TIMES_WRITING * (self.written - start))
+
+
+def _say(text: str) -> None:
+    # Not `click.echo`, which writes into the progress bar: rich puts what is printed above it.
+    print(text, file=sys.stderr)
 
 
 def percent(error: float | None) -> str:
