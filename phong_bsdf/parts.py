@@ -88,11 +88,9 @@ def metadata(subject: Subject, samples: Sequence[Samples]) -> dict[str, str]:
             "variant": subject.variant, "spp": str(sum(s.spp for s in samples))}  # fmt: skip
     if len(samples) == 1:
         said["seed"] = str(samples[0].seed)
-    known = [{k: v for k, v in dataclasses.asdict(s).items() if k == "spp" or v != DEFAULTS[k]} for s in samples]
+    usual = dataclasses.asdict(Samples(0))
+    known = [{k: v for k, v in dataclasses.asdict(s).items() if v != usual[k]} for s in samples]
     return {**said, SUBJECT: json.dumps(dataclasses.asdict(subject)), SAMPLES: json.dumps(known)}
-
-
-DEFAULTS = dataclasses.asdict(Samples(0))
 
 
 def subject_from(data: dict) -> Subject:
