@@ -112,6 +112,8 @@ def read(path: Path) -> Part:
     try:
         subject = subject_from(json.loads(header[SUBJECT]))
         listed = [Samples(**{**s, "shift": tuple(s.get("shift", (0, 0)))}) for s in json.loads(header[SAMPLES])]
+        if not listed or not all(s.spp > 0 and (s.random or grid(s.spp)) for s in listed):
+            raise ValueError("no samples")
         return Part(path, subject, tuple(listed))
     except (KeyError, IndexError, TypeError, ValueError):
         raise ValueError(f"'{path}' does not say which samples of which scene it shows; only pictures that "

@@ -176,11 +176,16 @@ def test_pictures_without_a_word(folder):
     part("a.exr", Samples(4, 7))
     images.write(Path("plain.exr"), image(0))
     images.write(Path("half.exr"), image(0), metadata={"subject": json.dumps({"scene": "x"}), "samples": "[]"})
+    known = json.dumps(dataclasses.asdict(SUBJECT))
+    images.write(Path("none.exr"), image(0), metadata={"subject": known, "samples": "[]"})
+    images.write(Path("odd.exr"), image(0), metadata={"subject": known, "samples": '[{"spp": 5, "random": false}]'})
     images.write(Path("a.png"), image(0))
     Path("text.exr").write_text("no picture")
     for name, said in {
         "plain.exr": "does not say which samples",
         "half.exr": "does not say which samples",
+        "none.exr": "does not say which samples",
+        "odd.exr": "does not say which samples",
         "a.png": "cannot be read as EXR",
         "text.exr": "cannot be read as EXR",
         "nix.exr": "there is no such file",
