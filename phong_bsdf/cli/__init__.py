@@ -10,6 +10,7 @@ from .convert import convert
 from .doctor import doctor
 from .explain import explain
 from .explore import explore
+from .merge import merge
 from .render import render
 from .stability import stability
 
@@ -20,5 +21,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, check, convert, compare, converge, explain, explore, stability, doctor):
+for command in (render, merge, check, convert, compare, converge, explain, explore, stability, doctor):
     main.add_command(command)
