@@ -83,11 +83,11 @@ def read_metadata(path: Path) -> dict[str, str]:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; OSError, with its name, where that is not possible."""
+def replace_file(path: Path, content: str | bytes) -> None:
+    """Write a file, whole or not at all; OSError, with its name, where that is not possible."""
     try:
         with _whole(Path(path)) as temporary:
-            Path(temporary).write_text(text, encoding="utf-8")
+            Path(temporary).write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
         raise OSError(f"'{path}' could not be written: {error.strerror or error}") from None
 
