@@ -1,0 +1,192 @@
+"""Hands orders to a cluster and gives back what becomes of them, whatever happens to workers and scheduler.
+
+Nothing here is bound to a worker: a few orders for each are under way, and who is free takes the next one. So
+late workers join in, and the loss of one costs what it was doing.
+"""
+
+import contextlib
+import queue
+import statistics
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from ..bundle import Bundle
+from . import work
+from .connection import Cluster, ClusterError
+from .work import Order, Result
+
+# Orders that are under way for each worker: the one that it does and the one that it can begin at once.
+AHEAD = 2
+
+# A worker hangs if it takes so many times as long as others, and at least so many seconds.
+PATIENCE, LEAST_SECONDS = 10.0, 30.0
+# Before anything is known.
+FIRST_SECONDS = 1800.0
+
+# After so many workers that died or hung on one order, it is the order's fault.
+MOST_LOSSES = 5
+
+# Seconds between two looks at clocks and workers.
+GLANCE = 0.25
+COUNT = 2.0
+
+
+@dataclass
+class _Attempt:
+    """One handing out of an order."""
+
+    order: Order
+    number: int
+    future: object
+    started: float | None = None
+    worker: str = ""
+
+
+class Orders:
+    """A run of orders about one scene."""
+
+    def __init__(
+        self, cluster: Cluster, scene: Bundle, orders: Sequence[Order], *, variant: str, seconds: float | None = None,
+        on_wait: Callable[[str], None] = lambda what: None,
+    ):  # fmt: skip
+        """`seconds`: the longest that an order may take; by default told from those that are done."""
+        if len({order.name for order in orders}) != len(orders):
+            raise ValueError("two orders have the same name")
+        self.cluster, self.files = cluster, scene.files
+        self.around = work.Surroundings(replace(scene, files={}), variant, work.environment(), {})
+        self.waiting, self.running = deque(orders), {}
+        self.losses = dict.fromkeys((order.name for order in orders), 0)
+        self.seconds, self.on_wait = seconds, on_wait
+        self.pace: list[float] = []
+        self.number, self.sent, self.counted = 0, None, 0.0
+        self.finished, self.begun = queue.SimpleQueue(), queue.SimpleQueue()
+
+    def results(self) -> Iterator[Result]:
+        """One result for each order, as they finish. ClusterError where the cluster cannot go on."""
+        self._listen()
+        try:
+            while self.waiting or self.running:
+                if self.cluster.ensure(self.on_wait):
+                    self._begin_again()
+                self._hand_out()
+                yield from self._collect()
+                self._look_at_clocks()
+        finally:
+            self._give_up()
+
+    def _listen(self) -> None:
+        # A handler must be quick and is called in another thread.
+        self.cluster.client.subscribe_topic(work.TOPIC, lambda event: self.begun.put((event[1], time.monotonic())))
+
+    def _begin_again(self) -> None:
+        """After a new connection: nothing that was under way is known there."""
+        self.waiting.extendleft(attempt.order for attempt in self.running.values())
+        self.running, self.sent, self.counted = {}, None, 0.0
+        self._listen()
+
+    def _hand_out(self) -> None:
+        if time.monotonic() - self.counted > COUNT:
+            self.around = replace(self.around, workers=self.cluster.workers())
+            self.counted = time.monotonic()
+        workers = sum(self.around.workers.values())
+        if not workers:
+            self.on_wait("waiting for workers")
+            return
+        client = self.cluster.client
+        while self.waiting and len(self.running) < AHEAD * workers:
+            if self.sent is None or self.sent.status in ("cancelled", "lost", "error"):
+                self.sent = self._sent()
+            order = self.waiting.popleft()
+            self.number += 1
+            number = self.number
+            future = client.submit(
+                work.carry_out, order, self.around, self.sent, number, pure=False, key=f"{order.name}-{number}-{id(self)}"
+            )
+            self.running[number] = _Attempt(order, number, future)
+            future.add_done_callback(lambda _, number=number: self.finished.put(number))
+
+    def _sent(self):
+        """The files as the result of a task: who needs them gets them from whom has them, and Dask, which still knows
+        the task, makes them again where they were lost with their last holder. (What is scattered would be gone.)"""
+        with warnings.catch_warnings():
+            # Dask would rather have them scattered.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            return self.cluster.client.submit(dict, self.files, pure=False, key=f"files-{id(self)}-{self.number}")
+
+    def _collect(self) -> Iterator[Result]:
+        """What has finished by now; waits a moment where nothing has."""
+        with contextlib.suppress(queue.Empty):
+            number = self.finished.get(timeout=GLANCE)
+            while True:
+                attempt = self.running.pop(number, None)
+                if attempt and (result := self._result(attempt)):
+                    yield result
+                number = self.finished.get_nowait()
+
+    def _result(self, attempt: _Attempt) -> Result | None:
+        """None where the attempt failed by the cluster's fault; the order then waits again."""
+        try:
+            result = attempt.future.result(timeout=FIRST_SECONDS)
+        except Exception as error:
+            self._lost(attempt, error)
+            return None
+        finally:
+            attempt.future.release()
+        if result.error and result.error.startswith("the worker has "):
+            raise ClusterError(f"worker {result.worker}: {result.error.removeprefix('the ')}. Install the same versions there")
+        self.pace.append(result.seconds / attempt.order.work)
+        return result
+
+    def _lost(self, attempt: _Attempt, error: BaseException | str) -> None:
+        """Let the order wait again, in front; ClusterError where that is of no use."""
+        name = attempt.order.name
+        if type(error).__name__ in ("KilledWorker", "str"):
+            self.losses[name] += 1
+        elif self.cluster.client.status == "running" and isinstance(error, ImportError | AttributeError | TypeError):
+            raise ClusterError(f"the cluster cannot read what it is sent: {error}. Install the same versions there")
+        if self.losses[name] >= MOST_LOSSES:
+            raise ClusterError(f"{name}: {MOST_LOSSES} workers died or hung over it, the last time: {error}")
+        self.waiting.appendleft(attempt.order)
+
+    def _look_at_clocks(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                event, now = self.begun.get_nowait()
+                if attempt := self.running.get(event["attempt"]):
+                    attempt.started, attempt.worker = now, event["worker"]
+        for attempt in list(self.running.values()):
+            limit = self._limit(attempt.order)
+            if attempt.started and time.monotonic() - attempt.started > limit:
+                del self.running[attempt.number]
+                self._lost(attempt, f"nothing for {limit:.0f} s (--task-timeout)")
+                self._end_worker(attempt.worker)
+
+    def _limit(self, order: Order) -> float:
+        """Seconds for an order; twice as many each time that it was lost, for it may be the slow one."""
+        known = self.seconds
+        if known is None:
+            known = max(LEAST_SECONDS, PATIENCE * statistics.median(self.pace) * order.work) if self.pace else FIRST_SECONDS
+        return known * 2 ** self.losses[order.name]
+
+    def _end_worker(self, worker: str) -> None:
+        """A task that hangs cannot be cancelled: its process is replaced, or forgotten where nobody minds it."""
+        client = self.cluster.client
+        try:
+            client.restart_workers([worker], timeout=LEAST_SECONDS, raise_for_error=False)
+        except Exception:
+            with contextlib.suppress(Exception):
+                client.run_on_scheduler(_forget, worker=worker)
+
+    def _give_up(self) -> None:
+        """Leave nothing on the cluster."""
+        with contextlib.suppress(Exception):
+            self.cluster.client.unsubscribe_topic(work.TOPIC)
+            self.cluster.client.cancel([attempt.future for attempt in self.running.values()], force=True)
+        self.running, self.sent = {}, None
+
+
+async def _forget(worker: str, dask_scheduler) -> None:
+    await dask_scheduler.remove_worker(worker, stimulus_id="phong_bsdf-hanging")
