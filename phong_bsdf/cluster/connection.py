@@ -62,11 +62,18 @@ def address(text: str, tls: tuple[Path | None, Path | None, Path | None] = (None
             if not json.loads(Path(text).read_text(encoding="utf-8"))["address"]:
                 raise KeyError
         except (ValueError, KeyError, TypeError):
-            raise ClusterError(f"'{text}' is no scheduler file, as `dask scheduler --scheduler-file` writes it") from None
+            raise ClusterError(
+                f"'{text}' is no scheduler file, as `dask scheduler --scheduler-file` writes it"
+            ) from None
         return Address(file=Path(text), tls=secure)
     raise ClusterError(
         f"--cluster: '{text}' is neither local, local:N, tcp://host:port, tls://host:port nor a scheduler file"
     )
+
+
+def mismatch(who: str, different: str) -> ClusterError:
+    """The error for versions that are not the same."""
+    return ClusterError(f"{who} has {different}: pictures could differ. Install the same versions there")
 
 
 class Cluster:
@@ -98,7 +105,7 @@ class Cluster:
             if isinstance(there, Exception):
                 raise ClusterError(f"{who} cannot load this package: {there}. Install the same versions there")
             if different := work.differences(here, there):
-                raise ClusterError(f"{who} has {different}: pictures could differ. Install the same versions there")
+                raise mismatch(who, different)
 
     def workers(self) -> dict[str, int]:
         """How many workers there are on each machine."""
@@ -162,7 +169,7 @@ def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
     if where.local is not None:
         local = LocalCluster(
             n_workers=where.local or max((os.cpu_count() or 2) // 2, 1), threads_per_worker=1, processes=True,
-            host="127.0.0.1", dashboard_address=None, memory_limit=0,
+            host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
             silence_logs=logging.WARNING if verbose else logging.CRITICAL,
         )  # fmt: skip
     cluster = None

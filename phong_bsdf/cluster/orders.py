@@ -13,9 +13,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from ..bundle import Bundle
 from . import work
-from .connection import Cluster, ClusterError
+from .connection import Cluster, ClusterError, mismatch
 from .work import Order, Result
 
 # Orders that are under way for each worker: the one that it does and the one that it can begin at once.
@@ -46,22 +45,22 @@ class _Attempt:
 
 
 class Orders:
-    """A run of orders about one scene."""
+    """A run of orders."""
 
     def __init__(
-        self, cluster: Cluster, scene: Bundle, orders: Sequence[Order], *, variant: str, seconds: float | None = None,
+        self, cluster: Cluster, orders: Sequence[Order], *, variant: str, seconds: float | None = None,
         on_wait: Callable[[str], None] = lambda what: None,
     ):  # fmt: skip
         """`seconds`: the longest that an order may take; by default told from those that are done."""
         if len({order.name for order in orders}) != len(orders):
             raise ValueError("two orders have the same name")
-        self.cluster, self.files = cluster, scene.files
-        self.around = work.Surroundings(replace(scene, files={}), variant, work.environment(), {})
+        self.cluster = cluster
+        self.around = work.Surroundings(variant, work.environment(), {})
         self.waiting, self.running = deque(orders), {}
         self.losses = dict.fromkeys((order.name for order in orders), 0)
         self.seconds, self.on_wait = seconds, on_wait
         self.pace: list[float] = []
-        self.number, self.sent, self.counted = 0, None, 0.0
+        self.number, self.sent, self.counted = 0, {}, 0.0
         self.finished, self.begun = queue.SimpleQueue(), queue.SimpleQueue()
 
     def results(self) -> Iterator[Result]:
@@ -84,7 +83,7 @@ class Orders:
     def _begin_again(self) -> None:
         """After a new connection: nothing that was under way is known there."""
         self.waiting.extendleft(attempt.order for attempt in self.running.values())
-        self.running, self.sent, self.counted = {}, None, 0.0
+        self.running, self.sent, self.counted = {}, {}, 0.0
         self._listen()
 
     def _hand_out(self) -> None:
@@ -95,26 +94,30 @@ class Orders:
         if not workers:
             self.on_wait("waiting for workers")
             return
-        client = self.cluster.client
         while self.waiting and len(self.running) < AHEAD * workers:
-            if self.sent is None or self.sent.status in ("cancelled", "lost", "error"):
-                self.sent = self._sent()
             order = self.waiting.popleft()
             self.number += 1
             number = self.number
-            future = client.submit(
-                work.carry_out, order, self.around, self.sent, number, pure=False, key=f"{order.name}-{number}-{id(self)}"
-            )
+            future = self.cluster.client.submit(
+                work.carry_out, replace(order, scene=replace(order.scene, files={})), self.around, self._files(order),
+                number, pure=False, key=f"{order.name}-{number}-{id(self)}",
+            )  # fmt: skip
             self.running[number] = _Attempt(order, number, future)
             future.add_done_callback(lambda _, number=number: self.finished.put(number))
 
-    def _sent(self):
-        """The files as the result of a task: who needs them gets them from whom has them, and Dask, which still knows
-        the task, makes them again where they were lost with their last holder. (What is scattered would be gone.)"""
-        with warnings.catch_warnings():
-            # Dask would rather have them scattered.
-            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-            return self.cluster.client.submit(dict, self.files, pure=False, key=f"files-{id(self)}-{self.number}")
+    def _files(self, order: Order):
+        """The files of its scene as the result of a task: who needs them gets them from whom has them, and Dask, which
+        still knows the task, makes them again where they were lost with their last holder. (What is scattered would be
+        gone.)"""
+        names = tuple(order.scene.files)
+        known = self.sent.get(names)
+        if known is None or known.status in ("cancelled", "lost", "error"):
+            with warnings.catch_warnings():
+                # Dask would rather have them scattered.
+                warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+                key = f"files-{self.number}-{id(self)}"
+                known = self.sent[names] = self.cluster.client.submit(dict, order.scene.files, pure=False, key=key)
+        return known
 
     def _collect(self) -> Iterator[Result]:
         """What has finished by now; waits a moment where nothing has."""
@@ -135,8 +138,8 @@ class Orders:
             return None
         finally:
             attempt.future.release()
-        if result.error and result.error.startswith("the worker has "):
-            raise ClusterError(f"worker {result.worker}: {result.error.removeprefix('the ')}. Install the same versions there")
+        if result.different:
+            raise mismatch(f"worker {result.worker}", result.different)
         self.pace.append(result.seconds / attempt.order.work)
         return result
 
@@ -148,7 +151,9 @@ class Orders:
         elif self.cluster.client.status == "running" and isinstance(error, ImportError | AttributeError | TypeError):
             raise ClusterError(f"the cluster cannot read what it is sent: {error}. Install the same versions there")
         if self.losses[name] >= MOST_LOSSES:
-            raise ClusterError(f"{name}: {MOST_LOSSES} workers died or hung over it, the last time: {error}")
+            # Dask's own text is long, and about itself.
+            reason = error if isinstance(error, str) else "the process died"
+            raise ClusterError(f"{name}: workers died or hung over it again and again, the last time: {reason}")
         self.waiting.appendleft(attempt.order)
 
     def _look_at_clocks(self) -> None:
@@ -168,7 +173,9 @@ class Orders:
         """Seconds for an order; twice as many each time that it was lost, for it may be the slow one."""
         known = self.seconds
         if known is None:
-            known = max(LEAST_SECONDS, PATIENCE * statistics.median(self.pace) * order.work) if self.pace else FIRST_SECONDS
+            known = (
+                max(LEAST_SECONDS, PATIENCE * statistics.median(self.pace) * order.work) if self.pace else FIRST_SECONDS
+            )
         return known * 2 ** self.losses[order.name]
 
     def _end_worker(self, worker: str) -> None:
@@ -185,7 +192,7 @@ class Orders:
         with contextlib.suppress(Exception):
             self.cluster.client.unsubscribe_topic(work.TOPIC)
             self.cluster.client.cancel([attempt.future for attempt in self.running.values()], force=True)
-        self.running, self.sent = {}, None
+        self.running, self.sent = {}, {}
 
 
 async def _forget(worker: str, dask_scheduler) -> None:

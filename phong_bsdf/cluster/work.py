@@ -29,8 +29,9 @@ class Order:
 
     name: str
     """Of the result; no other order of a run has it."""
+    scene: Bundle
     call: Callable
-    """A function of this package, called with the scene's path and the arguments."""
+    """A function of a module, called with the scene's path and the arguments."""
     arguments: tuple = ()
     work: float = 1.0
     """In any unit, for all orders of a run: what time limits and progress go by."""
@@ -38,10 +39,8 @@ class Order:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What an order needs on every worker."""
+    """What all orders need."""
 
-    scene: Bundle
-    """Without its files, which travel by themselves, once to each worker."""
     variant: str
     environment: Mapping[str, str]
     workers: Mapping[str, int]
@@ -57,6 +56,8 @@ class Result:
     error: str | None
     seconds: float
     worker: str
+    different: str = ""
+    """Versions that the worker has instead of the client's: then nothing was done."""
 
 
 def environment() -> dict[str, str]:
@@ -74,11 +75,16 @@ def environment() -> dict[str, str]:
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
     """What is not the same, in words; empty where nothing differs."""
-    return ", ".join(f"{name} {there.get(name)} instead of {here[name]}" for name in here if here[name] != there.get(name))
+    return ", ".join(
+        f"{name} {there.get(name)} instead of {here[name]}" for name in here if here[name] != there.get(name)
+    )
 
 
 def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], attempt: int) -> Result:
-    """On a worker: do what is ordered. Errors of the function are results, for they would be the same elsewhere."""
+    """On a worker: do what is ordered. Errors of the function are results, for they would be the same elsewhere.
+
+    `files` are those of the order's scene: they travel by themselves, once to each worker.
+    """
     from distributed import get_worker
 
     worker = get_worker()
@@ -86,17 +92,17 @@ def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], at
         # Tells the client from when on to count.
         worker.log_event(TOPIC, {"order": order.name, "attempt": attempt, "worker": worker.address})
         if different := differences(around.environment, environment()):
-            return Result(order.name, None, f"the worker has {different}", 0.0, worker.address)
+            return Result(order.name, None, None, 0.0, worker.address, different)
         start = time.perf_counter()
         folder = Path(worker.local_directory) / "phong_bsdf"
         value = error = None
         try:
             prepare(around, re.sub(r"^\w+://|:\d+$", "", worker.address))
-            path = bundle.unpack(replace(around.scene, files=files), folder)
+            path = bundle.unpack(replace(order.scene, files=files), folder)
             value = order.call(path, *order.arguments)
         except Exception as caught:
             text = str(caught) if isinstance(caught, ValueError) else f"{type(caught).__name__}: {caught}"
-            error = around.scene.named(re.sub(r"\s+", " ", text).strip(), folder)
+            error = order.scene.named(re.sub(r"\s+", " ", text).strip(), folder)
         return Result(order.name, value, error, time.perf_counter() - start, worker.address)
 
 
