@@ -5,7 +5,6 @@ names the file and the line where Mitsuba knows them.
 """
 
 import contextlib
-import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from . import camera as cameras
 from . import needs
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
@@ -79,7 +79,7 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder" if path.is_dir() else f"{path}: there is no such file")
     try:
-        with _files_beside(path):
+        with files_beside(path):
             config = mi.parser.ParserConfig(mi.variant())
             config.merge_equivalent = config.merge_meshes = merge
             state = mi.parser.parse_file(config, str(path), **(defines or {}))
@@ -89,10 +89,20 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
     return state
 
 
+def merged(state):
+    """A copy of a parsed scene in which equal nodes are one, as Mitsuba makes them when it loads a file: faster to
+    render."""
+    state = mi.parser.ParserState(state)
+    config = mi.parser.ParserConfig(mi.variant())
+    mi.parser.transform_merge_equivalent(config, state)
+    mi.parser.transform_merge_meshes(config, state)
+    return state
+
+
 def make(path: Path, state):
     """The object that the root of a parsed scene, perhaps changed since, describes."""
     try:
-        with _files_beside(path):
+        with files_beside(path):
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
             return mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), mi.parser.ParserState(state))
     except RuntimeError as error:
@@ -122,6 +132,25 @@ def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
     # This resets the crop window too.
     params["film.size"] = mi.ScalarVector2u(width, height)
     params.update()
+
+
+def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
+    """Samples per pixel that a rendering takes when asked for `spp`: samplers round as they need."""
+    if loaded.integrator == WHITTED and cameras.grid(spp):
+        return spp
+    sampler = loaded.sensor(camera).sampler().clone()
+    before = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        sampler.set_sample_count(spp)
+    finally:
+        mi.set_log_level(before)
+    return int(sampler.sample_count())
+
+
+def pass_seed(seed: int, done: int) -> int:
+    """Seed of a pass before which `done` samples were taken: passes of nearby seeds have none in common."""
+    return (seed + done * cameras.STRIDE) % 2**32
 
 
 def render(
@@ -190,7 +219,7 @@ def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
 
 
 @contextlib.contextmanager
-def _files_beside(path: Path):
+def files_beside(path: Path):
     """Inside, Mitsuba finds files that the scene names relative to its own folder."""
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
@@ -210,7 +239,7 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
 
     if width * height * spp <= SAMPLES_PER_PASS:
         yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif loaded.integrator == WHITTED and box and math.isqrt(spp) ** 2 == spp:
+    elif loaded.integrator == WHITTED and box and cameras.grid(spp):
         rows = max(SAMPLES_PER_PASS // (width * spp), 1)
         yield from _bands(loaded.scene, sensor, spp, seed, rows)
     elif sensor.sampler().class_name() == "IndependentSampler":
@@ -218,7 +247,7 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
         total, done = 0.0, 0
         while done < spp:
             n = min(per_pass, spp - done)
-            total = total + n * _render(loaded.scene, sensor, n, seed + done).astype(np.float64)
+            total = total + n * _render(loaded.scene, sensor, n, pass_seed(seed, done)).astype(np.float64)
             done += n
             yield (total / done).astype(np.float32), done / spp
     else:

@@ -3,7 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf.camera import CameraSamples
+from phong_bsdf.camera import WHOLE, CameraSamples
 from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
 from phong_bsdf.tracer import Memory, Tracer
@@ -80,6 +80,8 @@ class Whitted(Base):
         # Features that stay in the kernel though a scene does not need them: measurements set this.
         self.keep = frozenset() if specialize else frozenset(FEATURES)
         self.memory = Memory()
+        # The part of the grid of samples that is rendered: a rendering in passes sets this.
+        self.part = WHOLE
         # Hears the share done after each of several passes.
         self.on_progress = lambda share: None
         self.ambient = Parameter(props, "ambient", 0)
@@ -92,7 +94,7 @@ class Whitted(Base):
 
     def prepare(self, sensor, seed=0, spp=0, aovs=()):
         """Prepares the film; returns the camera's samples and the number of them per pixel."""
-        samples = CameraSamples(sensor, seed, spp)
+        samples = CameraSamples(sensor, seed, spp, self.part)
         sensor.film().prepare(list(aovs))
         return samples, samples.spp
 
