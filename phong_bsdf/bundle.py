@@ -33,9 +33,9 @@ class Bundle:
 
     main: str
     """The file name of the scene itself, hence its hash."""
-    texts: Mapping[str, bytes]
+    texts: Mapping[str, bytes] = field(repr=False)
     """File name -> XML: the scene and what it includes."""
-    files: Mapping[str, bytes]
+    files: Mapping[str, bytes] = field(repr=False)
     """File name -> content: meshes, images, spectra."""
     sources: Mapping[str, str]
     """File name -> what it was called, for messages."""

@@ -82,7 +82,7 @@ class Orders:
 
     def _begin_again(self) -> None:
         """After a new connection: nothing that was under way is known there."""
-        self.waiting.extendleft(attempt.order for attempt in self.running.values())
+        self.waiting.extendleft(attempt.order for attempt in reversed(self.running.values()))
         self.running, self.sent, self.counted = {}, {}, 0.0
         self._listen()
 
