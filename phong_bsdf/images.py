@@ -5,8 +5,10 @@ Mitsuba's own EXR routines are avoided: they wait for ever where Dr.Jit has no f
 """
 
 import contextlib
+import glob
 import os
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import numpy as np
 
 FORMATS = (".exr", ".png")
 CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
+CHECKSUM = "crc32"
 
 
 def check_writable(path: Path) -> None:
@@ -47,7 +50,7 @@ def check_folder(folder: Path) -> None:
 def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
     """Write a linear image of shape (height, width, channels), channels Y, YA, RGB or RGBA.
 
-    EXR holds it as it is (32-bit float), with `metadata` as string attributes. PNG holds
+    EXR holds it as it is (32-bit float), with `metadata` and a checksum as string attributes. PNG holds
     round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding. Raises OSError
     where the file cannot be written in full.
     """
@@ -83,6 +86,25 @@ def read_metadata(path: Path) -> dict[str, str]:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
 
+def read_checked(path: Path) -> np.ndarray:
+    """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
+    try:
+        image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
+    except (RuntimeError, ValueError):
+        image, wanted = None, None
+    # Files of other programs have none.
+    if image is None or wanted not in (None, _checksum(image)):
+        raise ValueError(f"'{path}' is broken")
+    return image
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what processes that were killed while they wrote `path` have left beside it."""
+    path = Path(path)
+    for leftover in path.parent.glob(f".{glob.escape(path.stem)}-????????{glob.escape(path.suffix)}"):
+        leftover.unlink()
+
+
 def replace_file(path: Path, content: str | bytes) -> None:
     """Write a file, whole or not at all; OSError, with its name, where that is not possible."""
     try:
@@ -108,12 +130,17 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
     )
     # Compressing takes longer than rendering; the library's default is one thread.
     OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
+    own = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, CHECKSUM: _checksum(image)}
+    header = {**own, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)
     # The library does not notice a full disk.
     with OpenEXR.File(path) as file:
         file.channels()
+
+
+def _checksum(image: np.ndarray) -> str:
+    return f"{zlib.crc32(np.ascontiguousarray(image)):08x}"
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:

@@ -5,12 +5,12 @@ No rendering here: parts come from any machine, in any order, and their mean dep
 
 import dataclasses
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from . import images, passes
+from . import images
 from .camera import grid
 from .estimates import WeightedMean
 
@@ -38,8 +38,9 @@ class Samples:
     """Which samples of its subject a picture is made of."""
 
     spp: int
-    seed: int | None = None
-    """None where no random number is used: then the samples are those of a grid."""
+    seed: int = 0
+    random: bool = True
+    """False where no random number is used: then the samples are those of a grid, and the seed means nothing."""
     step: int = 1
     shift: tuple[int, int] = (0, 0)
     """With `step` > 1 a part of a grid: `camera.CameraSamples`."""
@@ -48,7 +49,7 @@ class Samples:
 
     def names(self) -> Iterator[object]:
         """What no other part may have: the seed, or the place of each sample in a pixel."""
-        if self.seed is not None:
+        if self.random:
             yield self.seed
             return
         across = grid(self.spp)
@@ -57,7 +58,7 @@ class Samples:
                 yield column, row
 
     def __str__(self) -> str:
-        if self.seed is not None:
+        if self.random:
             return f"seed {self.seed}"
         across = grid(self.spp) * self.step
         whole = f"the fixed grid of {across} x {across} samples"
@@ -85,7 +86,7 @@ def metadata(subject: Subject, samples: Sequence[Samples]) -> dict[str, str]:
     """What a picture's header says about it: for people, and for `read`."""
     said = {"phong_bsdf": subject.versions.split(",")[0].removeprefix("phong_bsdf "), "scene": subject.scene,
             "variant": subject.variant, "spp": str(sum(s.spp for s in samples))}  # fmt: skip
-    if len(samples) == 1 and samples[0].seed is not None:
+    if len(samples) == 1:
         said["seed"] = str(samples[0].seed)
     known = [{k: v for k, v in dataclasses.asdict(s).items() if k == "spp" or v != DEFAULTS[k]} for s in samples]
     return {**said, SUBJECT: json.dumps(dataclasses.asdict(subject)), SAMPLES: json.dumps(known)}
@@ -155,30 +156,38 @@ def check(parts: Sequence[Part], *, mixed_versions: bool = False) -> None:
 
 def _shared(part: Part, samples: Samples, other: Part, others: Samples) -> str:
     said = f"'{part.path}' and '{other.path}' hold the same samples: {samples}"
-    if samples.seed is not None:
+    if samples.random:
         return f"{said}; give each part its own --seed"
-    if samples != others:
+    if str(samples) != str(others):
         said += f" and {others}"
     return (f"{said}. `whitted` uses no random numbers here, so --seed changes nothing; "
             "render the picture once, with as many --spp as you want")  # fmt: skip
 
 
-def merge(parts: Sequence[Part], on_progress=lambda share: None) -> tuple[WeightedMean, list[Samples]]:
-    """The mean of parts that `check` let pass, and the samples that it is made of.
+def ordered(parts: Iterable[Part]) -> list[Part]:
+    """Parts in the order in which they are added up, whatever order they come in."""
+    return sorted(parts, key=lambda part: min(map(_order, part.samples)))
 
-    Parts are added in the order of their passes and seeds, so that the result depends on nothing else.
-    """
-    ordered = sorted(parts, key=lambda part: min(map(_order, part.samples)))
+
+def merged(parts: Sequence[Part], on_progress: Callable[[float], None] = lambda share: None) -> WeightedMean:
+    """The mean of parts, `ordered`, that `check` let pass; ValueError for one that is broken."""
     mean = WeightedMean()
-    for part in ordered:
-        image = passes.read_image(part.path)
+    for part in parts:
+        image = images.read_checked(part.path)
         if image.shape[1::-1] != part.subject.size:
             raise ValueError(f"'{part.path}' is {image.shape[1]} x {image.shape[0]}, but its header says "
                              f"{part.subject.size[0]} x {part.subject.size[1]}")  # fmt: skip
         mean.add(image, part.spp)
         on_progress(mean.count / len(parts))
-    return mean, sorted((s for part in parts for s in part.samples), key=_order)
+    return mean
+
+
+def merged_metadata(parts: Sequence[Part]) -> dict[str, str]:
+    """What the header of the mean says: it is a part like others, of all their samples."""
+    versions = "; ".join(sorted({part.subject.versions for part in parts}))
+    subject = dataclasses.replace(parts[0].subject, versions=versions)
+    return metadata(subject, sorted((s for part in parts for s in part.samples), key=_order))
 
 
 def _order(samples: Samples) -> tuple:
-    return samples.index, samples.seed is None, samples.seed or 0, samples.spp, samples.step, samples.shift
+    return samples.index, samples.random, samples.seed, samples.spp, samples.step, samples.shift

@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import platform
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from . import images
 # What a folder holds: a study of methods, one of the lobes' formulas, or one picture in passes.
 RUN, LOBES, PICTURE = "run.json", "lobes.json", "picture.json"
 HELD = {RUN: "measurements of a scene", LOBES: "measurements of the lobes' formulas", PICTURE: "a picture in passes"}
-RECORD, CHECKSUM = "pass", "crc32"
+RECORD = "pass"
 FAILURE = "failure.txt"
 
 
@@ -76,17 +75,23 @@ class Store:
         """Write a pass, with `metadata` beside its record; OSError where the disk is full."""
         path = self.path(key, made.spp, made.repeat)
         path.parent.mkdir(exist_ok=True)
-        record = {RECORD: json.dumps(dataclasses.asdict(made)), CHECKSUM: _checksum(image)}
-        images.write(path, image, metadata={**(metadata or {}), **record})
+        images.write(path, image, metadata={**(metadata or {}), RECORD: json.dumps(dataclasses.asdict(made))})
 
     def list(self, key: str) -> list[Pass]:
         """The records of all passes of a key, by samples, then repeats."""
         found = (self._read(path) for path in (self.passes / key).glob("*-spp-repeat-*.exr"))
         return sorted(found, key=lambda made: (made.spp, made.repeat))
 
+    def files(self) -> "list[Path]":
+        """The files of all passes."""
+        return sorted(self.passes.glob("*/*-spp-repeat-*.exr"))
+
     def image(self, key: str, made: Pass) -> np.ndarray:
         """The picture of a pass, float32."""
-        return read_image(self.path(key, made.spp, made.repeat))
+        try:
+            return images.read_checked(self.path(key, made.spp, made.repeat))
+        except ValueError as error:
+            raise ValueError(f"{error}; delete it, and the next run makes it again") from None
 
     def failure(self, key: str) -> str | None:
         """Why the method's last run failed; None if it did not."""
@@ -113,22 +118,6 @@ class Store:
     def path(self, key: str, spp: int, repeat: int) -> Path:
         """Where a pass is, or will be."""
         return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"
-
-
-def read_image(path: Path) -> np.ndarray:
-    """The picture in a file, float32; ValueError where it is not, bit by bit, what was written."""
-    try:
-        image, wanted = images.read_exr(path), images.read_metadata(path).get(CHECKSUM)
-    except (RuntimeError, ValueError):
-        image, wanted = None, None
-    # Files from elsewhere have no checksum.
-    if image is None or wanted not in (None, _checksum(image)):
-        raise ValueError(f"'{path}' is broken; delete it, and the next run makes it again")
-    return image
-
-
-def _checksum(image: np.ndarray) -> str:
-    return f"{zlib.crc32(np.ascontiguousarray(image, np.float32)):08x}"
 
 
 def digest(value: object, length: int = 12) -> str:

@@ -134,18 +134,9 @@ def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
     params.update()
 
 
-def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
-    """Samples per pixel that a rendering takes when asked for `spp`: samplers round as they need."""
-    if loaded.integrator == WHITTED and cameras.grid(spp):
-        return spp
-    sampler = loaded.sensor(camera).sampler().clone()
-    before = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        sampler.set_sample_count(spp)
-    finally:
-        mi.set_log_level(before)
-    return int(sampler.sample_count())
+def count_lights(loaded: LoadedScene) -> int:
+    """Lights of the scene; in a `whitted` scene a background lights nothing."""
+    return sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in loaded.scene.emitters())
 
 
 def pass_seed(seed: int, done: int) -> int:
@@ -174,7 +165,6 @@ def render(
     try:
         if scene.integrator().aov_names():
             raise ValueError("the integrator adds channels (AOVs), which this command cannot write")
-        lights = sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in scene.emitters())
         with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()
             for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
@@ -182,8 +172,10 @@ def render(
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
         raise SceneError(explain(error, loaded.path)) from None
-    return Rendering(image, mi.variant(), spp, seed, lights, compiling.seconds, max(seconds - compiling.seconds, 0.0),
-                     compiling.happened)  # fmt: skip
+    seconds = max(seconds - compiling.seconds, 0.0)
+    return Rendering(
+        image, mi.variant(), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
+    )
 
 
 def explain(error: BaseException, path: Path) -> str:

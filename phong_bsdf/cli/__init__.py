@@ -9,6 +9,7 @@ from .converge import converge
 from .convert import convert
 from .doctor import doctor
 from .explain import explain
+from .merge import merge
 from .render import render
 from .stability import stability
 
@@ -19,5 +20,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, check, convert, compare, converge, explain, stability, doctor):
+for command in (render, merge, check, convert, compare, converge, explain, stability, doctor):
     main.add_command(command)

@@ -1,0 +1,91 @@
+"""What `phong-bsdf render --passes` does beside rendering: passes that are there, pictures in between, Ctrl-C."""
+
+import time
+from pathlib import Path
+
+import click
+
+# Pictures in between are written so often at most, in seconds, and so many times as long apart as writing takes.
+LEAST_SECONDS, TIMES_WRITING = 5, 40
+
+
+def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show) -> str:
+    """Render and write a picture in passes; a line to say about it."""
+    from .. import images
+    from ..passes import Store
+    from ..progressive import folder as folders
+    from ..progressive import planning
+
+    with Store(path).opened() as store:
+        for output in picture.outputs:
+            images.remove_leftovers(output)
+        held = folders.stored(store)
+        if held and not resume:
+            count = len(folders.Folder(store, held).finished())
+            raise ValueError(f"'{path}' holds {count} of {held.count} passes already; go on with them: --resume, "
+                             "or choose another folder")  # fmt: skip
+        # Where an option is not given, as before.
+        spp, pass_spp = spp or (held.total if held else 0), pass_spp or (held.asked if held else None)
+        plan = planning.plan(picture.loaded, picture.subject, spp=spp, seed=seed, pass_spp=pass_spp)
+        folder = folders.claim(store, plan)
+        try:
+            return _Run(picture, folder, show).render()
+        except KeyboardInterrupt:
+            click.echo(f"Stopped: {_kept(folder)}", err=True)
+            raise
+        except OSError as error:
+            raise OSError(f"{error}; {_kept(folder)}") from None
+
+
+def _kept(folder) -> str:
+    return (f"{len(folder.finished())} of {folder.plan.count} passes are in '{folder.store.folder}', "
+            "and the same command with --resume goes on from there")  # fmt: skip
+
+
+class _Run:
+    """One rendering of the passes that a folder lacks."""
+
+    def __init__(self, picture, folder, show):
+        self.picture, self.folder, self.show = picture, folder, show
+        self.plan = folder.plan
+        self.there, self.said = len(folder.finished()), "rendering"
+        self.written, self.pause = time.perf_counter(), LEAST_SECONDS
+
+    def render(self) -> str:
+        from .. import rendering
+        from ..progressive import running
+
+        start = time.perf_counter()
+        lights = rendering.count_lights(self.picture.loaded)
+        for mean in running.render(self.picture.loaded, self.folder, on_broken=self._broken, on_progress=self._at):
+            last = mean.count == self.plan.count
+            error = mean.relative_error() if last or mean.count > self.there else None
+            self.said = f"pass {mean.count} of {self.plan.count}" + (f", error {percent(error)}" if error else "")
+            if last or self._is_time():
+                self._write(mean)
+        seconds = time.perf_counter() - start
+        there = f", {self.there} of them from before" if self.there else ""
+        return (f"{self.picture.summary(self.plan.total, lights)}; {self.plan.count} passes of {self.plan.spp} spp"
+                f"{there}, error {percent(error)}; loading {self.picture.loaded.seconds:.2f} s, "
+                f"passes {seconds:.2f} s")  # fmt: skip
+
+    def _broken(self, text: str) -> None:
+        self.there -= 1
+        click.echo(f"Warning: {text}; it is rendered again", err=True)
+
+    def _at(self, share: float) -> None:
+        self.show(self.said, share)
+
+    def _is_time(self) -> bool:
+        return time.perf_counter() - self.written > self.pause
+
+    def _write(self, mean) -> None:
+        start = time.perf_counter()
+        self.picture.write(mean.image(), [self.plan.samples(index) for index in range(mean.count)])
+        self.written = time.perf_counter()
+        self.pause = max(LEAST_SECONDS, TIMES_WRITING * (self.written - start))
+
+
+def percent(error: float | None) -> str:
+    """`0.83 %`, or that it is not known."""
+    return "unknown" if error is None else f"{100 * error:.2g} %"
