@@ -290,6 +290,8 @@ def test_local_cluster_leaves_nothing():
     with connected(address("local:1")) as cluster:
         assert cluster.workers() == {"127.0.0.1": 1}
         # Python's own helper, which minds semaphores, stays.
-        family = [p for p in psutil.Process().children(recursive=True) if "resource_tracker" not in " ".join(p.cmdline())]
+        family = [
+            p for p in psutil.Process().children(recursive=True) if "resource_tracker" not in " ".join(p.cmdline())
+        ]
         assert family
     until(lambda: not any(member.is_running() for member in family), 20)

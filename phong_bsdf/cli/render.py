@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from .clusters import cluster_options
 from .options import scene_options
 from .session import errors, progress, start
 
@@ -19,12 +20,16 @@ from .session import errors, progress, start
 @click.option("--pass-spp", type=click.IntRange(min=1),
               help="Samples per pixel of a pass, rounded to a power of two. Default: some seconds' work.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the passes that the folder holds; with more --spp, add some.")
+@cluster_options
 def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, resume,
-           verbose):  # fmt: skip
+           cluster, verbose):  # fmt: skip
     """Render a Mitsuba XML SCENE."""
     with errors():
         from .. import images
 
+        if cluster and folder is None:
+            # What comes from elsewhere is kept.
+            folder = outputs[0].with_suffix(".passes")
         if folder is None and (pass_spp or resume):
             raise ValueError(
                 f"{'--resume' if resume else '--pass-spp'} is for passes; say where they are: --passes DIR"
@@ -43,9 +48,11 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
             if folder is None:
                 said = picture.at_once(spp or 0, seed, show)
             else:
-                from .passes import in_passes
+                from .passes import Elsewhere, in_passes
 
-                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, resume=resume, show=show)
+                elsewhere = Elsewhere(cluster, scene, dict(defines), size, verbose, show) if cluster else None
+                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, resume=resume, show=show,
+                                 elsewhere=elsewhere)  # fmt: skip
     click.echo(said)
 
 

@@ -52,16 +52,22 @@ class Orders:
         on_wait: Callable[[str], None] = lambda what: None,
     ):  # fmt: skip
         """`seconds`: the longest that an order may take; by default told from those that are done."""
-        if len({order.name for order in orders}) != len(orders):
-            raise ValueError("two orders have the same name")
         self.cluster = cluster
         self.around = work.Surroundings(variant, work.environment(), {})
-        self.waiting, self.running = deque(orders), {}
-        self.losses = dict.fromkeys((order.name for order in orders), 0)
+        self.waiting, self.running, self.losses = deque(), {}, {}
+        for order in orders:
+            self.add(order)
         self.seconds, self.on_wait = seconds, on_wait
         self.pace: list[float] = []
         self.number, self.sent, self.counted = 0, {}, 0.0
         self.finished, self.begun = queue.SimpleQueue(), queue.SimpleQueue()
+
+    def add(self, order: Order) -> None:
+        """One more; also while results come, as long as there are any."""
+        if order.name in self.losses and any(o.name == order.name for o in self.waiting):
+            raise ValueError(f"two orders have the name '{order.name}'")
+        self.losses[order.name] = 0
+        self.waiting.append(order)
 
     def results(self) -> Iterator[Result]:
         """One result for each order, as they finish. ClusterError where the cluster cannot go on."""

@@ -86,6 +86,12 @@ class Folder:
                     self.plan.subject.versions, passes.machine(dr.thread_count()), now)  # fmt: skip
         self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]))
 
+    def keep(self, index: int, content: bytes) -> None:
+        """Keep a pass as the file that `write` made elsewhere."""
+        path = self.path(index)
+        path.parent.mkdir(exist_ok=True)
+        images.replace_file(path, content)
+
     def read(self, index: int) -> np.ndarray:
         """The picture of a pass; ValueError, with its path, where the file is broken or not of this pass."""
         path = self.path(index)
