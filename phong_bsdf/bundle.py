@@ -52,13 +52,18 @@ class Bundle:
         return message
 
 
-def pack(path: Path, defines: Mapping[str, str] | None = None, root: Path | None = None) -> Bundle:
+def pack(
+    path: Path,
+    defines: Mapping[str, str] | None = None,
+    root: Path | None = None,
+    contents: dict[Path, tuple[str, bytes]] | None = None,
+) -> Bundle:
     """The bundle of a scene file, `defines` put in for its `<default>`s.
 
     Files are packed that lie in the folder `root` (default: the scene's), by whatever path the scene names them.
-    BundleError where one does not exist, or lies elsewhere.
+    BundleError where one does not exist, or lies elsewhere. `contents`, shared between calls, has each file read once.
     """
-    packer = _Packer(Path(path), root, dict(defines or {}))
+    packer = _Packer(Path(path), root, dict(defines or {}), {} if contents is None else contents)
     main = packer.add_scene(Path(path), ())
     return Bundle(main, packer.texts, packer.files, packer.sources)
 
@@ -94,11 +99,18 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def _hashed(content: bytes, suffix: str) -> str:
+    """The name of a file in a bundle."""
+    name = _digest(content)
+    return name + suffix if NAME.fullmatch(name + suffix) else name
+
+
 @dataclass
 class _Packer:
     scene: Path
     root: Path | None
     parameters: dict[str, str]
+    contents: dict[Path, tuple[str, bytes]]
     texts: dict[str, bytes] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
@@ -129,20 +141,24 @@ class _Packer:
             elif node.tag == "string" and node.name == "filename":
                 # The files of plugins are searched for beside the scene, wherever an include names them.
                 node.set("value", self._add_file(node.get("value", ""), [self.scene.parent], node))
-        return self._add(self.texts, _text(tree), ".xml", str(path))
+        text = _text(tree)
+        name = _hashed(text, ".xml")
+        self.texts[name] = text
+        self.sources.setdefault(name, str(path))
+        return name
 
     def _add_file(self, name: str, folders: Sequence[Path], node: Node) -> str:
         path = self._find(name, folders, node)
-        try:
-            return self._add(self.files, path.read_bytes(), path.suffix, name)
-        except OSError as error:
-            raise BundleError(f"{_place(node)}: '{name}' cannot be read: {error.strerror}") from None
-
-    def _add(self, kind: dict[str, bytes], content: bytes, suffix: str, source: str) -> str:
-        name = _digest(content) + (suffix if NAME.fullmatch("0" * 64 + suffix) else "")
-        kind[name] = content
-        self.sources.setdefault(name, source)
-        return name
+        if path not in self.contents:
+            try:
+                content = path.read_bytes()
+            except OSError as error:
+                raise BundleError(f"{_place(node)}: '{name}' cannot be read: {error.strerror}") from None
+            self.contents[path] = _hashed(content, path.suffix), content
+        packed, content = self.contents[path]
+        self.files[packed] = content
+        self.sources.setdefault(packed, name)
+        return packed
 
     def _find(self, name: str, folders: Sequence[Path], node: Node) -> Path:
         """The file that Mitsuba would take; BundleError where there is none, or it is not below the root."""

@@ -1,0 +1,48 @@
+"""A sweep on a cluster: a picture is an order, its file comes back whole."""
+
+import gc
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from .. import bundle, images, sweep
+from ..sweep import Row, Settings, Sweep
+from .connection import Cluster
+from .orders import Order, Orders
+
+
+def render(path: Path, row: Row, settings: Settings, scene: str) -> tuple[float, float, bytes]:
+    """On a worker: seconds, mean and file of one combination, whose defines the scene has inside."""
+    gc.collect()
+    with tempfile.TemporaryDirectory() as name:
+        file = Path(name) / "picture.exr"
+        seconds, mean = sweep.render(path, row, settings, file, packed=scene)
+        return seconds, mean, file.read_bytes()
+
+
+def run(
+    cluster: Cluster,
+    planned: Sweep,
+    rows: Sequence[Row],
+    folder: Path,
+    *,
+    variant: str,
+    root: Path | None = None,
+    seconds: float | None = None,
+    on_wait: Callable[[str], None] = lambda what: None,
+) -> Iterator[Row]:
+    """As `sweep.run`, in the order in which they finish. BundleError where a file lies outside of `root`."""
+    waiting, contents = {str(number): row for number, row in enumerate(rows)}, {}
+    orders = []
+    for name, row in waiting.items():
+        scene = bundle.pack(planned.path, dict(row.defines), root, contents)
+        orders.append(Order(name, scene, render, (row, planned.settings, planned.path.name)))
+    for result in Orders(cluster, orders, variant=variant, seconds=seconds, on_wait=on_wait).results():
+        row = waiting[result.name]
+        if result.error:
+            yield replace(row, error=result.error)
+            continue
+        took, mean, content = result.value
+        images.replace_file(folder / row.file, content)
+        yield replace(row, seconds=took, mean=mean)
