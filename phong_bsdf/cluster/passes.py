@@ -1,6 +1,5 @@
 """The passes of a picture on a cluster: rendered anywhere, written here, folded in their order as `progressive` does."""
 
-import gc
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -14,25 +13,17 @@ from ..passes import Store
 from ..progressive import planning, running
 from ..progressive.folder import Folder
 from ..progressive.planning import Plan
-from . import scaling
+from . import scaling, work
 from .connection import Cluster, ClusterError
 from .orders import Order, Orders
 
 # Samples of the rendering that tells how long others take.
 TRIAL_SAMPLES = 2**20
 
-# The scene that this process has loaded: one, since Dr.Jit puts every BSDF that is alive into each kernel.
-_kept = {}
-
 
 def loaded(path: Path, camera: int, size: tuple[int, int] | None):
-    """On a worker: a scene and its subject, loaded once for all orders in a row."""
-    key = path, camera, size
-    if key not in _kept:
-        _kept.clear()
-        gc.collect()
-        _kept[key] = planning.load(path, camera=camera, size=size)
-    return _kept[key]
+    """On a worker: a scene and its subject."""
+    return work.kept(("passes", path, camera, size), lambda: planning.load(path, camera=camera, size=size))
 
 
 def render_pass(path: Path, size: tuple[int, int] | None, plan: Plan, index: int) -> bytes:

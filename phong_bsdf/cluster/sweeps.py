@@ -8,12 +8,15 @@ from pathlib import Path
 
 from .. import bundle, images, sweep
 from ..sweep import Row, Settings, Sweep
+from . import work
 from .connection import Cluster
 from .orders import Order, Orders
 
 
 def render(path: Path, row: Row, settings: Settings, scene: str) -> tuple[float, float, bytes]:
     """On a worker: seconds, mean and file of one combination, whose defines the scene has inside."""
+    # The last one is let go.
+    work.kept(None, object)
     gc.collect()
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "picture.exr"

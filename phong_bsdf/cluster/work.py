@@ -19,6 +19,9 @@ from ..bundle import Bundle
 
 TOPIC = "phong_bsdf"
 
+# What this process has loaded for the orders of one run.
+_kept = {}
+
 # Dask may run several tasks at once in a process, Dr.Jit uses all its threads for one.
 _one_at_a_time = threading.Lock()
 
@@ -118,3 +121,13 @@ def prepare(around: Surroundings, host: str) -> None:
     threads = max(2, cores // max(around.workers.get(host, 1), 1))
     if dr.thread_count() != threads:
         dr.set_thread_count(threads)
+
+
+def kept(key: object, make: Callable[[], object]):
+    """What `make` gives, made once for all orders in a row with this key. What was made for another key is let go
+    before: Dr.Jit puts every BSDF that is alive into each kernel."""
+    if key not in _kept:
+        _kept.clear()
+        gc.collect()
+        _kept[key] = make()
+    return _kept[key]

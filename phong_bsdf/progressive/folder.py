@@ -88,9 +88,7 @@ class Folder:
 
     def keep(self, index: int, content: bytes) -> None:
         """Keep a pass as the file that `write` made elsewhere."""
-        path = self.path(index)
-        path.parent.mkdir(exist_ok=True)
-        images.replace_file(path, content)
+        self.store.keep(KEY, self.plan.spp, index, content)
 
     def read(self, index: int) -> np.ndarray:
         """The picture of a pass; ValueError, with its path, where the file is broken or not of this pass."""
