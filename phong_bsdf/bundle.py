@@ -168,9 +168,10 @@ class _Packer:
             raise BundleError(f"{_place(node)}: there is no file '{name}' beside '{self.scene}'")
         real = found.resolve()
         if not real.is_relative_to(self.root):
+            common = os.path.commonpath([real, self.root])
             raise BundleError(
                 f"{_place(node)}: '{name}' lies outside of '{self.root}', and only what is inside is sent to other "
-                f"machines. If that is right, name a folder that holds all: --root {os.path.commonpath([real, self.root])}"
+                f"machines. If that is right, name a folder that holds all: --root {common}"
             )
         if not stat.S_ISREG(real.stat().st_mode):
             raise BundleError(f"{_place(node)}: '{name}' is no file")

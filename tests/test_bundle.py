@@ -22,8 +22,9 @@ MAIN = """\
     <path value="parts"/>
     <integrator type="whitted"/>
     <include filename="floor.xml"/>
-    <sensor type="perspective"><film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>
-        <rfilter type="box"/></film>
+    <sensor type="perspective">
+        <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>
+            <rfilter type="box"/></film>
         <transform name="to_world"><lookat origin="0, 2, 5" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
     <emitter type="point"><point name="position" x="1" y="4" z="3"/></emitter>
     <shape type="obj" id="the \\$1"><string name="filename" value="{mesh}"/><bsdf type="phong"/></shape>
@@ -33,7 +34,8 @@ FLOOR = """\
 <scene version="3.0.0">
     <default name="tile" value="never used"/>
     <include filename="deeper/paint.xml"/>
-    <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/><scale value="$tile_scale"/></transform>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate x="1" angle="-90"/><scale value="$tile_scale"/></transform>
         <ref id="paint"/></shape>
 </scene>
 """

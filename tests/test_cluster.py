@@ -1,19 +1,15 @@
 """Clusters of real processes on loopback, killed and stopped at chosen moments: each order has one result."""
 
-import contextlib
-import json
 import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 
 import errands
 import mitsuba as mi
 import psutil
 import pytest
+from dask_processes import PATIENCE, processes, until
 
 import phong_bsdf
 from phong_bsdf import bundle
@@ -21,76 +17,7 @@ from phong_bsdf.cluster import connection, orders, work
 from phong_bsdf.cluster.connection import ClusterError, address, connected
 from phong_bsdf.cluster.orders import Order, Orders
 
-TESTS = Path(__file__).parent
-SCENE = TESTS.parent / "scenes/course/textured.xml"
-
-# Processes start in some seconds; on a busy machine in many.
-PATIENCE = 60
-
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
-
-
-def until(condition, seconds=PATIENCE):
-    """Its first true value."""
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
-    return value
-
-
-class Processes:
-    """A scheduler and workers, as a user starts them."""
-
-    def __init__(self, folder: Path):
-        self.folder, self.file, self.started = folder, folder / "scheduler.json", []
-
-    def start(self, *command):
-        log = open(self.folder / f"{len(self.started)}.log", "wb")  # noqa: SIM115  (the process's, not ours)
-        with log:
-            self.started.append(
-                subprocess.Popen(
-                    [sys.executable, "-m", "dask", *map(str, command)], env=ENVIRONMENT, stdout=log, stderr=log
-                )
-            )
-        return self.started[-1]
-
-    def scheduler(self, port=0):
-        self.file.unlink(missing_ok=True)
-        started = self.start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard",
-                             "--scheduler-file", self.file)  # fmt: skip
-        until(self.file.is_file)
-        return started
-
-    def worker(self):
-        return self.start("worker", "--scheduler-file", self.file, "--nthreads", 1, "--no-dashboard", "--host",
-                          "127.0.0.1", "--local-directory", self.folder)  # fmt: skip
-
-    @property
-    def url(self):
-        return json.loads(self.file.read_text())["address"]
-
-    def end(self):
-        """All of them, and their children."""
-        for process in self.started:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                family = psutil.Process(process.pid)
-                for member in [*family.children(recursive=True), family]:
-                    with contextlib.suppress(psutil.NoSuchProcess):
-                        member.kill()
-            process.wait()
-
-
-@contextlib.contextmanager
-def processes(folder, workers):
-    group = Processes(folder)
-    try:
-        group.scheduler()
-        for _ in range(workers):
-            group.worker()
-        yield group
-    finally:
-        group.end()
+SCENE = Path(__file__).parent.parent / "scenes/course/textured.xml"
 
 
 @pytest.fixture(scope="module")
@@ -233,7 +160,7 @@ def test_worker_is_killed(two, scene, tmp_path):
 
 @pytest.mark.slow
 def test_worker_hangs(two, scene, tmp_path):
-    """A process that is stopped is given up after --task-timeout, its order done elsewhere, and another takes its place."""
+    """A process that is stopped is given up after some seconds: another takes its place, its order is done."""
     with connected(address(two.url)) as cluster:
         until(lambda: sum(cluster.workers().values()) == 2)
         running = Running(cluster, told(scene, tmp_path, 4, seconds=0.5), seconds=3.0)
@@ -287,11 +214,11 @@ def test_scheduler_is_restarted(scene, tmp_path):
 @pytest.mark.slow
 def test_local_cluster_leaves_nothing():
     """Processes on loopback that end with it."""
+    before = set(psutil.Process().children(recursive=True))
     with connected(address("local:1")) as cluster:
         assert cluster.workers() == {"127.0.0.1": 1}
         # Python's own helper, which minds semaphores, stays.
-        family = [
-            p for p in psutil.Process().children(recursive=True) if "resource_tracker" not in " ".join(p.cmdline())
-        ]
+        family = set(psutil.Process().children(recursive=True)) - before
+        family = [member for member in family if "resource_tracker" not in " ".join(member.cmdline())]
         assert family
     until(lambda: not any(member.is_running() for member in family), 20)

@@ -31,7 +31,9 @@ def task(assignment: Assignment) -> Task:
     return Task(assignment.name, options=assignment.options, **assignment.settings)
 
 
-def check(path: Path, task: Task, name: str, content: bytes, label: str, page: str | None) -> tuple[Grade, bytes | None]:
+def check(
+    path: Path, task: Task, name: str, content: bytes, label: str, page: str | None
+) -> tuple[Grade, bytes | None]:
     """On a worker: the grade of a picture in a file `name`, and the page called `page`, if one is wanted."""
     assignment = work.kept(("check", path, task), lambda: _assignment(path, task))
     with tempfile.TemporaryDirectory() as folder:

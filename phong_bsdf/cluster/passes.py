@@ -1,4 +1,4 @@
-"""The passes of a picture on a cluster: rendered anywhere, written here, folded in their order as `progressive` does."""
+"""The passes of a picture on a cluster: rendered anywhere, written and folded here, in their order."""
 
 import tempfile
 import time

@@ -14,7 +14,9 @@ def check_parquet() -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        raise ValueError("--parquet needs pyarrow: `pip install 'phong-bsdf[parquet]'`; the CSV table needs nothing") from None
+        raise ValueError(
+            "--parquet needs pyarrow: `pip install 'phong-bsdf[parquet]'`; the CSV table needs nothing"
+        ) from None
 
 
 def write(folder: Path, planned: Sweep, rows: Sequence[Row], parquet: bool = False) -> Path:

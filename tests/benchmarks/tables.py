@@ -190,6 +190,29 @@ LOBE_TABLES = (
     ),
 )
 
+CLUSTER_TABLES = (
+    Table(
+        "What comes to the rendering",
+        ("task",),
+        (Column("ms", {"unit": "s"}, MS), Column("ns a byte", {"unit": "ns"})),
+        {"quantity": "cost"},
+    ),
+    Table(
+        "One picture, its passes as long as the command chooses",
+        ("task",),
+        (
+            Column("seconds", {"quantity": "time of the picture"}),
+            Column("time / no cluster", {"quantity": "time / no cluster"}),
+        ),
+    ),
+    Table(
+        "Predicted: an hour of one process on so many workers",
+        ("x",),
+        tuple(_of(name, "predicted", name) for name in ("time of a pass", "seconds", "speedup")),
+        {"task": "predicted"},
+    ),
+)
+
 TABLES = {
     "floor": FLOOR_TABLES,
     "peers": PEER_TABLES,
@@ -198,6 +221,7 @@ TABLES = {
     "cold": COLD_TABLES,
     "memory": MEMORY_TABLES,
     "lobes": LOBE_TABLES,
+    "cluster": CLUSTER_TABLES,
 }
 
 
