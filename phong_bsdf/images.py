@@ -65,7 +65,9 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
             else:
                 _write_png(temporary, image, linear)
         except RuntimeError as error:
-            raise OSError(f"'{path}' could not be written: {error}") from None
+            # The library names the temporary file first, then the reason.
+            reason = str(error).rsplit('". ', 1)[-1].rstrip(".")
+            raise OSError(f"'{path}' could not be written: {reason}") from None
 
 
 def read_exr(path: Path) -> np.ndarray:
@@ -89,7 +91,9 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_checked(path: Path) -> np.ndarray:
     """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
     try:
-        image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
+        # The library says what is wrong on stdout.
+        with contextlib.redirect_stdout(None):
+            image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
     except (RuntimeError, ValueError):
         image, wanted = None, None
     # Files of other programs have none.
@@ -175,6 +179,16 @@ def _srgb_colors(image: np.ndarray) -> np.ndarray:
     return np.concatenate([srgb(image[..., :alpha]), image[..., alpha:]], axis=-1)
 
 
+def _sync_folder(folder: Path) -> None:
+    """Make sure that a new name survives a power cut, where the system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
 @contextlib.contextmanager
 def _whole(path: Path, keep: bool = True) -> Iterator[str]:
     """A temporary file beside `path`, with its suffix, that becomes `path` if all goes well."""
@@ -190,6 +204,7 @@ def _whole(path: Path, keep: bool = True) -> Iterator[str]:
             os.umask(mask)
             os.chmod(temporary, 0o666 & ~mask)
             os.replace(temporary, path)
+            _sync_folder(path.parent)
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)

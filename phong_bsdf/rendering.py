@@ -235,7 +235,8 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
         rows = max(SAMPLES_PER_PASS // (width * spp), 1)
         yield from _bands(loaded.scene, sensor, spp, seed, rows)
     elif sensor.sampler().class_name() == "IndependentSampler":
-        per_pass = max(SAMPLES_PER_PASS // (width * height), 1)
+        # A power of two: only those are the same picture, bit by bit, each time.
+        per_pass = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
         total, done = 0.0, 0
         while done < spp:
             n = min(per_pass, spp - done)

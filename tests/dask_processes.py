@@ -35,6 +35,8 @@ def end(process: subprocess.Popen):
             with contextlib.suppress(psutil.NoSuchProcess):
                 member.kill()
     process.wait()
+    if process.stdout:
+        process.stdout.close()
 
 
 class Processes:

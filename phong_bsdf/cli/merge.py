@@ -51,13 +51,15 @@ def _files(given) -> dict[Path, Path]:
                 raise ValueError(f"'{file}' is given twice" if file == files[real] else
                                  f"'{file}' and '{files[real]}' are the same file")  # fmt: skip
             files[real] = file
+    if not files:
+        raise ValueError("there is nothing to merge yet: no pass is finished")
     return files
 
 
 def _passes(folder: Path) -> list[Path]:
-    from ..passes import Store
+    from ..passes import PICTURE, Store
 
     found = Store(folder).files()
-    if not found:
+    if not found and not (folder / PICTURE).is_file():
         raise ValueError(f"'{folder}' holds no passes; merge takes the folders of `phong-bsdf render --passes`")
     return found

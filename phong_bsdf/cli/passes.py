@@ -2,23 +2,22 @@
 
 import contextlib
 import functools
+import sys
 import time
 from pathlib import Path
-
-import click
 
 # Pictures in between are written so often at most, in seconds, and so many times as long apart as writing takes.
 LEAST_SECONDS, TIMES_WRITING = 5, 40
 
 
-def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show, elsewhere=None) -> str:
+def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show, elsewhere=None) -> str:
     """Render and write a picture in passes; a line to say about it."""
     from .. import images
     from ..passes import Store
     from ..progressive import folder as folders
     from ..progressive import planning
 
-    with Store(path).opened() as store, elsewhere or contextlib.nullcontext():
+    with Store(path).opened() as store, contextlib.ExitStack() as stack:
         for output in picture.outputs:
             images.remove_leftovers(output)
         held = folders.stored(store)
@@ -28,17 +27,18 @@ def in_passes(picture, path: Path, *, spp, seed, pass_spp, resume, show, elsewhe
                              "or choose another folder")  # fmt: skip
         # Where an option is not given, as before.
         spp, pass_spp = spp or (held.total if held else 0), pass_spp or (held.asked if held else None)
-        if elsewhere and not pass_spp:
-            pass_spp = elsewhere.pass_spp(picture, spp)
+        if elsewhere:
+            stack.enter_context(elsewhere)
+            pass_spp = pass_spp or elsewhere.pass_spp(picture, spp)
         plan = planning.plan(picture.loaded, picture.subject, spp=spp, seed=seed, pass_spp=pass_spp)
         folder = folders.claim(store, plan)
         try:
-            return _Run(picture, folder, show, elsewhere).render()
+            return _Run(picture, folder, target, show, elsewhere).render()
         except KeyboardInterrupt:
-            click.echo(f"Stopped: {_kept(folder)}", err=True)
+            _say(f"Stopped: {_kept(folder)}")
             raise
-        except OSError as error:
-            raise OSError(f"{error}; {_kept(folder)}") from None
+        except (OSError, ValueError) as error:
+            raise type(error)(f"{error}; {_kept(folder)}") from None
 
 
 def _kept(folder) -> str:
@@ -49,46 +49,60 @@ def _kept(folder) -> str:
 class _Run:
     """One rendering of the passes that a folder lacks."""
 
-    def __init__(self, picture, folder, show, elsewhere):
-        self.picture, self.folder, self.show, self.elsewhere = picture, folder, show, elsewhere
+    def __init__(self, picture, folder, target, show, elsewhere):
+        self.picture, self.folder, self.target, self.show, self.elsewhere = picture, folder, target, show, elsewhere
         self.plan = folder.plan
         self.there, self.said = len(folder.finished()), "rendering"
         self.written, self.pause = time.perf_counter(), LEAST_SECONDS
 
     def render(self) -> str:
-        from .. import rendering
+        """Render, and write the pictures; a line to say about it."""
         from ..progressive import running
 
         rendered = self.elsewhere.render if self.elsewhere else functools.partial(running.render, self.picture.loaded)
         start = time.perf_counter()
-        lights = rendering.count_lights(self.picture.loaded)
         for mean in rendered(self.folder, on_broken=self._broken, on_progress=self._at):
-            last = mean.count == self.plan.count
-            error = mean.relative_error() if last or mean.count > self.there else None
+            error = mean.relative_error()
             self.said = f"pass {mean.count} of {self.plan.count}" + (f", error {percent(error)}" if error else "")
-            if last or self._is_time():
+            if self._is_enough(mean, error):
+                break
+            if time.perf_counter() - self.written > self.pause:
                 self._write(mean)
-        seconds = time.perf_counter() - start
-        there = f", {self.there} of them from before" if self.there else ""
-        return (f"{self.picture.summary(self.plan.total, lights)}; {self.plan.count} passes of {self.plan.spp} spp"
-                f"{there}, error {percent(error)}; loading {self.picture.loaded.seconds:.2f} s, "
-                f"passes {seconds:.2f} s")  # fmt: skip
+        self._write(mean)
+        return self._summary(mean, error, time.perf_counter() - start)
+
+    def _is_enough(self, mean, error) -> bool:
+        from ..progressive import planning
+
+        wanted = self.target is not None and error is not None and mean.count >= planning.LEAST_PASSES
+        return mean.count == self.plan.count or (wanted and 100 * error <= self.target)
+
+    def _summary(self, mean, error, seconds) -> str:
+        from .. import rendering
+
+        loaded, there = self.picture.loaded, min(self.there, mean.count)
+        return (f"{self.picture.summary(mean.samples, rendering.count_lights(loaded))}; "
+                f"{mean.count} pass{'' if mean.count == 1 else 'es'} of {self.plan.spp} spp"
+                f"{f', {there} of them from before' if there else ''}, error {percent(error)}; "
+                f"loading {loaded.seconds:.2f} s, passes {seconds:.2f} s")  # fmt: skip
 
     def _broken(self, text: str) -> None:
         self.there -= 1
-        click.echo(f"Warning: {text}; it is rendered again", err=True)
+        _say(f"Warning: {text}; it is rendered again")
 
     def _at(self, share: float) -> None:
         self.show(self.said, share)
-
-    def _is_time(self) -> bool:
-        return time.perf_counter() - self.written > self.pause
 
     def _write(self, mean) -> None:
         start = time.perf_counter()
         self.picture.write(mean.image(), [self.plan.samples(index) for index in range(mean.count)])
         self.written = time.perf_counter()
         self.pause = max(LEAST_SECONDS, TIMES_WRITING * (self.written - start))
+
+
+def _say(text: str) -> None:
+    # Not `click.echo`, which writes into the progress bar: rich puts what is printed above it.
+    print(text, file=sys.stderr)
 
 
 def percent(error: float | None) -> str:

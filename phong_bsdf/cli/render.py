@@ -19,10 +19,12 @@ from .session import errors, progress, start
               help="Render in passes, each kept in this folder: a run that ends early has lost nothing.")  # fmt: skip
 @click.option("--pass-spp", type=click.IntRange(min=1),
               help="Samples per pixel of a pass, rounded to a power of two. Default: some seconds' work.")  # fmt: skip
+@click.option("--target-error", type=click.FloatRange(min=0, min_open=True), metavar="PERCENT",
+              help="End after the pass at which the picture's relative standard error is below this.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the passes that the folder holds; with more --spp, add some.")
 @cluster_options
-def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, resume,
-           cluster, verbose):  # fmt: skip
+def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
+           resume, cluster, verbose):  # fmt: skip
     """Render a Mitsuba XML SCENE."""
     with errors():
         from .. import images
@@ -30,10 +32,9 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
         if cluster and folder is None:
             # What comes from elsewhere is kept.
             folder = outputs[0].with_suffix(".passes")
-        if folder is None and (pass_spp or resume):
-            raise ValueError(
-                f"{'--resume' if resume else '--pass-spp'} is for passes; say where they are: --passes DIR"
-            )
+        for option, value in {"--pass-spp": pass_spp, "--target-error": target_error, "--resume": resume}.items():
+            if value and folder is None:
+                raise ValueError(f"{option} is for a picture in passes; say where to keep them: --passes DIR")
         for path in outputs:
             images.check_writable(path)
         if folder is not None:
@@ -51,8 +52,8 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
                 from .passes import Elsewhere, in_passes
 
                 elsewhere = Elsewhere(cluster, scene, dict(defines), size, verbose, show) if cluster else None
-                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, resume=resume, show=show,
-                                 elsewhere=elsewhere)  # fmt: skip
+                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, target=target_error,
+                                 resume=resume, show=show, elsewhere=elsewhere)  # fmt: skip
     click.echo(said)
 
 

@@ -170,7 +170,7 @@ def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
         local = LocalCluster(
             n_workers=where.local or max((os.cpu_count() or 2) // 2, 1), threads_per_worker=1, processes=True,
             host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
-            silence_logs=logging.WARNING if verbose else logging.CRITICAL,
+            silence_logs=logging.WARNING if verbose else logging.CRITICAL, preload=f"{__package__}.local",
         )  # fmt: skip
     cluster = None
     try:
