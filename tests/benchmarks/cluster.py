@@ -36,7 +36,7 @@ def records(plan: Plan):
         found.append(record("cluster", "balls", task, quantity, samples, unit, x))
         return found[-1].median
 
-    size, spp = plan.of((512, 384), (32, 24)), plan.of(1024, 16)
+    size, spp = plan.of((256, 192), (32, 24)), plan.of(512, 16)
     loaded, subject = planning.load(SCENE, size=size)
     scene = bundle.pack(SCENE)
     # Numbers are kept as they will be shown: seconds, and nanoseconds for each byte.
