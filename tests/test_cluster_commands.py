@@ -1,6 +1,8 @@
 """`--cluster`: the same files and pictures as without it, whatever happens to workers and to the command itself."""
 
 import os
+import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -229,3 +231,20 @@ def test_tls(tmp_path):
         drawn(*arguments, *tls)
         refused = run("render", *arguments[:-1], group.url.replace("tls", "tcp"), "--passes", tmp_path / "b")
         assert refused.exit_code == 2 and "does not answer" in refused.output
+
+
+@pytest.mark.slow
+def test_examples_of_the_documents(tmp_path, monkeypatch):
+    """The commands of docs/clusters.md that need no other machine."""
+    text = (SCENES.parent / "docs/clusters.md").read_text().partition("## Dask")[2]
+    lines = [line for block in re.findall(r"```bash\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    assert [line.split()[1] for line in lines] == ["render", "sweep"]
+    monkeypatch.chdir(tmp_path)
+    scene = FLOOR.read_text().replace('value="900"', 'value="30"').replace('value="600"', 'value="20"')
+    scene = scene.replace('<float name="p" value="60"/>', '<float name="p" value="$p"/>')
+    Path("scene.xml").write_text(scene.replace("<default", '<default name="p" value="60"/> <default', 1))
+    for line in lines:
+        result = run(*shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    assert images.read_exr("picture.exr").shape == (20, 30, 3)
+    assert len(list(Path("sweep").glob("*.exr"))) == 12

@@ -1,5 +1,7 @@
 """The model of a cluster: its ends, its bends, and that the passes that are chosen keep what is promised."""
 
+import itertools
+
 import pytest
 
 from phong_bsdf.cluster import scaling
@@ -51,18 +53,30 @@ def test_scene_is_passed_on():
 @pytest.mark.parametrize("size_bytes", [10**5, 10**7])
 def test_chosen_passes_keep_what_is_promised(workers, size_bytes):
     """The worker's own overhead is at most 5 %, and scheduler and client are at most half busy."""
-    seconds = scaling.pass_seconds(100.0, workers, size_bytes, COSTS)
+    serial = COSTS.order + COSTS.byte * size_bytes
+    # The shortest picture that so many workers can share so.
+    seconds = scaling.pass_seconds(serial * (workers / scaling.USED) ** 2, workers, size_bytes, COSTS)
     assert (COSTS.worker + COSTS.worker_byte * size_bytes) / seconds <= scaling.OVERHEAD * (1 + 1e-9)
-    assert workers * (COSTS.order + COSTS.byte * size_bytes) / seconds <= scaling.USED * (1 + 1e-9)
-    # And they are no longer than that takes, or than gives each worker some.
+    assert workers * serial / seconds <= scaling.USED * (1 + 1e-9)
+    # Of a long picture all but that overhead, the start and the last round is rendering.
     job = Job(max(int(3.6e6 * workers / seconds), 1), seconds, size_bytes)
     assert predicted(job, workers, COSTS).efficiency > 0.9
+
+
+def test_more_workers_do_not_harm():
+    """An hour's picture, in the passes that are chosen for each number of workers."""
+    speedups = []
+    for workers in (1, 10, 100, 300, 1000, 3000, 10_000):
+        seconds = scaling.pass_seconds(3600, workers, 600_000, COSTS)
+        speedups.append(predicted(Job(round(3600 / seconds), seconds, 600_000), workers, COSTS).speedup)
+    assert speedups[:3] == pytest.approx([1, 10, 100], rel=0.2)
+    assert all(more > 0.9 * fewer for fewer, more in itertools.pairwise(speedups))
 
 
 def test_pass_of_a_slow_scene():
     """Where a sample takes long, a pass has few: each worker gets four passes."""
     assert scaling.pass_spp(1024, 1.0, 16, 10**6, most=10**6, costs=COSTS) == 16
-    assert scaling.pass_spp(4, 1.0, 1000, 10**6, most=10**6, costs=COSTS) == 4
+    assert scaling.pass_spp(4, 1.0, 1000, 10**6, most=10**6, costs=COSTS) == 1
 
 
 def test_pass_of_a_fast_scene():

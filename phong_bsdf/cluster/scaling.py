@@ -89,9 +89,11 @@ def pass_seconds(total: float, workers: int, size_bytes: int, costs: Costs | Non
     them together are more than scheduler and client can handle.
     """
     costs = costs or Costs()
-    least = (costs.worker + costs.worker_byte * size_bytes) / OVERHEAD
-    least = max(least, workers * _serial_seconds(size_bytes, costs) / USED)
-    return max(least, total / (PASSES_PER_WORKER * workers))
+    own = (costs.worker + costs.worker_byte * size_bytes) / OVERHEAD
+    serial = _serial_seconds(size_bytes, costs)
+    # More workers than there are such passes would not help: then one pass each, as long as all of them take elsewhere.
+    shared = min(workers * serial / USED, math.sqrt(total * serial))
+    return max(own, shared, total / (PASSES_PER_WORKER * workers))
 
 
 def pass_spp(
