@@ -4,7 +4,6 @@ import csv
 import os
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -200,4 +199,19 @@ def test_on_a_cluster(folder):
     for file in (folder / "here").glob("*.exr"):
         assert np.array_equal(images.read_exr(file), images.read_exr(folder / "there" / file.name))
     assert "3 of them from before" in run(*arguments, "there").output
-    mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.mark.slow
+def test_missing_file_on_a_cluster(folder):
+    """A file that is not there, or must not be sent, fails the combination that names it, and no other."""
+    texture = '<texture name="kd" type="bitmap"><string name="filename" value="$file"/></texture>'
+    scene = SCENE.replace('<rgb name="kd" value="$kd"/>', texture).replace(
+        'name="kd" value="0.8"', 'name="file" value=""'
+    )
+    Path("a.xml").write_text(scene)
+    for name in ("here.png", "../there.png"):
+        images.write(folder / name, np.full((2, 2, 3), 0.5, np.float32))
+    result = run("-D", "file=here.png,none.png,../there.png", "-o", "out", "--cluster", "local:1")
+    assert result.exit_code == 1, result.output
+    errors = [row["error"] for row in table(folder / "out")]
+    assert errors[0] == "" and "no file 'none.png'" in errors[1] and "lies outside of" in errors[2]

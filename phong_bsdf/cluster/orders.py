@@ -4,6 +4,7 @@ Nothing here is bound to a worker: a few orders for each are under way, and who 
 late workers join in, and the loss of one costs what it was doing.
 """
 
+import asyncio
 import contextlib
 import queue
 import statistics
@@ -27,6 +28,12 @@ FIRST_SECONDS = 1800.0
 
 # After so many workers that died or hung on one order, it is the order's fault.
 MOST_LOSSES = 5
+
+# A result that is there must come in so many seconds.
+RESULT_SECONDS = 300.0
+
+# A local cluster is not without workers for longer.
+LOCAL_SECONDS = 60.0
 
 # Seconds between two looks at clocks and workers.
 GLANCE = 0.25
@@ -59,7 +66,7 @@ class Orders:
             self.add(order)
         self.seconds, self.on_wait = seconds, on_wait
         self.pace: list[float] = []
-        self.number, self.sent, self.counted = 0, {}, 0.0
+        self.number, self.sent, self.counted, self.without = 0, {}, 0.0, None
         self.finished, self.begun = queue.SimpleQueue(), queue.SimpleQueue()
 
     def add(self, order: Order) -> None:
@@ -76,7 +83,11 @@ class Orders:
             while self.waiting or self.running:
                 if self.cluster.ensure(self.on_wait):
                     self._begin_again()
-                self._hand_out()
+                try:
+                    self._hand_out()
+                except OSError:
+                    if self.cluster.client.status == "running":
+                        raise
                 yield from self._collect()
                 self._look_at_clocks()
         finally:
@@ -98,8 +109,9 @@ class Orders:
             self.counted = time.monotonic()
         workers = sum(self.around.workers.values())
         if not workers:
-            self.on_wait("waiting for workers")
+            self._wait_for_workers()
             return
+        self.without = None
         while self.waiting and len(self.running) < AHEAD * workers:
             order = self.waiting.popleft()
             self.number += 1
@@ -110,6 +122,12 @@ class Orders:
             )  # fmt: skip
             self.running[number] = _Attempt(order, number, future)
             future.add_done_callback(lambda _, number=number: self.finished.put(number))
+
+    def _wait_for_workers(self) -> None:
+        self.on_wait("waiting for workers")
+        self.without = self.without or time.monotonic()
+        if self.cluster.local is not None and time.monotonic() - self.without > LOCAL_SECONDS:
+            raise ClusterError("the processes of the local cluster have all ended, and none began again")
 
     def _files(self, order: Order):
         """The files of its scene as the result of a task: who needs them gets them from whom has them, and Dask, which
@@ -138,8 +156,12 @@ class Orders:
     def _result(self, attempt: _Attempt) -> Result | None:
         """None where the attempt failed by the cluster's fault; the order then waits again."""
         try:
-            result = attempt.future.result(timeout=FIRST_SECONDS)
-        except Exception as error:
+            result = attempt.future.result(timeout=RESULT_SECONDS)
+        except (TimeoutError, asyncio.TimeoutError):
+            self._lost(attempt, "its result did not come")
+            self._end_worker(attempt.worker)
+            return None
+        except (Exception, asyncio.CancelledError) as error:
             self._lost(attempt, error)
             return None
         finally:
@@ -160,6 +182,8 @@ class Orders:
             # Dask's own text is long, and about itself.
             reason = error if isinstance(error, str) else "the process died"
             raise ClusterError(f"{name}: workers died or hung over it again and again, the last time: {reason}")
+        # Perhaps by another scheduler than before, which has to be asked again.
+        self._listen()
         self.waiting.appendleft(attempt.order)
 
     def _look_at_clocks(self) -> None:
@@ -187,9 +211,10 @@ class Orders:
     def _end_worker(self, worker: str) -> None:
         """A task that hangs cannot be cancelled: its process is replaced, or forgotten where nobody minds it."""
         client = self.cluster.client
-        try:
-            client.restart_workers([worker], timeout=LEAST_SECONDS, raise_for_error=False)
-        except Exception:
+        said = {}
+        with contextlib.suppress(Exception):
+            said = client.restart_workers([worker], timeout=LEAST_SECONDS, raise_for_error=False)
+        if said.get(worker) != "OK":
             with contextlib.suppress(Exception):
                 client.run_on_scheduler(_forget, worker=worker)
 

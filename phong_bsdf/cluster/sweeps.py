@@ -35,12 +35,16 @@ def run(
     seconds: float | None = None,
     on_wait: Callable[[str], None] = lambda what: None,
 ) -> Iterator[Row]:
-    """As `sweep.run`, in the order in which they finish. BundleError where a file lies outside of `root`."""
-    waiting, contents = {str(number): row for number, row in enumerate(rows)}, {}
-    orders = []
-    for name, row in waiting.items():
-        scene = bundle.pack(planned.path, dict(row.defines), root, contents)
-        orders.append(Order(name, scene, render, (row, planned.settings, planned.path.name)))
+    """As `sweep.run`, in the order in which they finish."""
+    contents, orders, waiting = {}, [], {}
+    for number, row in enumerate(rows):
+        try:
+            scene = bundle.pack(planned.path, dict(row.defines), root, contents)
+        except ValueError as error:
+            yield replace(row, error=str(error))
+            continue
+        waiting[str(number)] = row
+        orders.append(Order(str(number), scene, render, (row, planned.settings, planned.path.name)))
     for result in Orders(cluster, orders, variant=variant, seconds=seconds, on_wait=on_wait).results():
         row = waiting[result.name]
         if result.error:
