@@ -24,9 +24,9 @@ TABLE_SECONDS = 5
 @scene_options
 @cluster_options
 def sweep(scene, folder, parquet, variant, defines, spp, size, camera, seed, threads, cluster, verbose):
-    """Render SCENE under every combination of values: -D p=1:1000:log20 -D km=0,.5,1.
+    """Render a SCENE with every combination of values, into a table and pictures.
 
-    Values are numbers or words with commas between them, and ranges: from:to:linN or from:to:logN. Exit 1: some
+    For example -D p=1:1000:log20 -D km=0,.5,1: values are numbers or words with commas between them, and ranges: from:to:linN or from:to:logN. Exit 1: some
     combinations failed; the table says why.
     """
     with errors():
