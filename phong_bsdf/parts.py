@@ -88,11 +88,9 @@ def metadata(subject: Subject, samples: Sequence[Samples]) -> dict[str, str]:
             "variant": subject.variant, "spp": str(sum(s.spp for s in samples))}  # fmt: skip
     if len(samples) == 1:
         said["seed"] = str(samples[0].seed)
-    known = [{k: v for k, v in dataclasses.asdict(s).items() if k == "spp" or v != DEFAULTS[k]} for s in samples]
+    usual = dataclasses.asdict(Samples(0))
+    known = [{k: v for k, v in dataclasses.asdict(s).items() if v != usual[k]} for s in samples]
     return {**said, SUBJECT: json.dumps(dataclasses.asdict(subject)), SAMPLES: json.dumps(known)}
-
-
-DEFAULTS = dataclasses.asdict(Samples(0))
 
 
 def subject_from(data: dict) -> Subject:
@@ -114,6 +112,8 @@ def read(path: Path) -> Part:
     try:
         subject = subject_from(json.loads(header[SUBJECT]))
         listed = [Samples(**{**s, "shift": tuple(s.get("shift", (0, 0)))}) for s in json.loads(header[SAMPLES])]
+        if not listed or not all(s.spp > 0 and (s.random or grid(s.spp)) for s in listed):
+            raise ValueError("no samples")
         return Part(path, subject, tuple(listed))
     except (KeyError, IndexError, TypeError, ValueError):
         raise ValueError(f"'{path}' does not say which samples of which scene it shows; only pictures that "

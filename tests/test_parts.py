@@ -64,10 +64,9 @@ def test_weighed_by_samples(folder):
 def test_order_of_arguments_does_not_matter(folder):
     """The same bytes, whatever a shell's pattern makes of the names. The numbers are such that sums differ by order."""
     rng = np.random.default_rng(5)
-    files = [
-        part(f"part_{k}.exr", Samples(3, k), pixels=(10.0 ** rng.uniform(-12, 12, (6, 8, 3))).astype(np.float32))
-        for k in range(12)
-    ]
+    # 1e30 + 1 - 1e30 is 0 or 1.
+    values = rng.permuted(np.tile([1e30, -1e30, 1, 2, 3, 4], (48 * 3, 1)), axis=1)
+    files = [part(f"part_{k}.exr", Samples(3, k), pixels=values[:, k].reshape(6, 8, 3)) for k in range(6)]
     found = set()
     for _ in range(6):
         merge(*rng.permutation(files), "-o", "out.exr")
@@ -177,11 +176,16 @@ def test_pictures_without_a_word(folder):
     part("a.exr", Samples(4, 7))
     images.write(Path("plain.exr"), image(0))
     images.write(Path("half.exr"), image(0), metadata={"subject": json.dumps({"scene": "x"}), "samples": "[]"})
+    known = json.dumps(dataclasses.asdict(SUBJECT))
+    images.write(Path("none.exr"), image(0), metadata={"subject": known, "samples": "[]"})
+    images.write(Path("odd.exr"), image(0), metadata={"subject": known, "samples": '[{"spp": 5, "random": false}]'})
     images.write(Path("a.png"), image(0))
     Path("text.exr").write_text("no picture")
     for name, said in {
         "plain.exr": "does not say which samples",
         "half.exr": "does not say which samples",
+        "none.exr": "does not say which samples",
+        "odd.exr": "does not say which samples",
         "a.png": "cannot be read as EXR",
         "text.exr": "cannot be read as EXR",
         "nix.exr": "there is no such file",

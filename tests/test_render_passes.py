@@ -225,11 +225,11 @@ def test_kill_in_the_middle(whole):
         wait_for_passes(process, count)
         process.kill()
         process.communicate()
-        counts.append(len(files()))
+        counts.append(len([name for name in files() if name[0] != "."]))
         resume = ["--resume"]
     assert counts[-1] < 64
     said = render("-o", "a.exr", *LONG, "--passes", "d", "--resume").stdout
-    assert re.search(r"4\d of them from before", said), said
+    assert 41 <= int(re.search(r"(\d+) of them from before", said)[1]) == counts[-1], said
     assert Path("a.exr").read_bytes() == whole
     assert len(files()) == 64 and not [name for name in files() if name.startswith(".")]
 
