@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
@@ -106,6 +107,13 @@ def test_nobody_there(monkeypatch):
         pytest.raises(ClusterError, match=r"tcp://127\.0\.0\.1:9 does not answer"),
         connected(address("tcp://127.0.0.1:9")),
     ):
+        pass
+
+
+def test_dask_is_not_installed(monkeypatch):
+    """Told with what to install."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterError, match=r"phong-bsdf\[cluster\]"), connected(address("local:1")):
         pass
 
 

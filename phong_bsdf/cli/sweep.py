@@ -26,8 +26,8 @@ TABLE_SECONDS = 5
 def sweep(scene, folder, parquet, variant, defines, spp, size, camera, seed, threads, cluster, verbose):
     """Render a SCENE with every combination of values, into a table and pictures.
 
-    For example -D p=1:1000:log20 -D km=0,.5,1: values are numbers or words with commas between them, and ranges: from:to:linN or from:to:logN. Exit 1: some
-    combinations failed; the table says why.
+    For example -D p=1:1000:log20 -D km=0,.5,1: values are numbers or words with commas between them, and ranges:
+    from:to:linN or from:to:logN. Exit 1: some combinations failed; the table says why.
     """
     with errors():
         from .. import images
