@@ -7,8 +7,8 @@ there is one each, handle every pass one after the other: the slower of the two 
 import math
 from dataclasses import dataclass
 
-# A pass may cost its worker so much more than its rendering.
-OVERHEAD = 0.05
+# A pass may cost its worker so much more than its rendering: 5 % where rounding down to a power of two halves it.
+OVERHEAD = 0.025
 # So much of what scheduler and client can do is planned for: what else they do, and passes that end together.
 USED = 0.5
 # So many passes for each worker: the last ones end at different times, and a lost one is little lost.
@@ -93,7 +93,10 @@ def pass_seconds(total: float, workers: int, size_bytes: int, costs: Costs | Non
     serial = _serial_seconds(size_bytes, costs)
     # More workers than there are such passes would not help: then one pass each, as long as all of them take elsewhere.
     shared = min(workers * serial / USED, math.sqrt(total * serial))
-    return max(own, shared, total / (PASSES_PER_WORKER * workers))
+    least = max(own, shared, total / (PASSES_PER_WORKER * workers))
+    # Whole rounds, so that no worker is without work in the last one.
+    rounds = math.floor(total / (least * workers) + 1e-9)
+    return total / (rounds * workers) if rounds else least
 
 
 def pass_spp(
