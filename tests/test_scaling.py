@@ -52,7 +52,7 @@ def test_scene_is_passed_on():
 @pytest.mark.parametrize("workers", [1, 2, 16, 128, 1000])
 @pytest.mark.parametrize("size_bytes", [10**5, 10**7])
 def test_chosen_passes_keep_what_is_promised(workers, size_bytes):
-    """The worker's overhead is 2.5 % at most (twice that after rounding), scheduler and client are half busy at most."""
+    """The worker's overhead is 2.5 % at most (twice that after rounding), scheduler and client are half busy."""
     serial = COSTS.order + COSTS.byte * size_bytes
     # The shortest picture that so many workers can share so.
     seconds = scaling.pass_seconds(serial * (workers / scaling.USED) ** 2, workers, size_bytes, COSTS)
