@@ -1,5 +1,6 @@
 """Work for tests of clusters: functions that workers import, too."""
 
+import errno
 import os
 import time
 from pathlib import Path
@@ -29,3 +30,12 @@ def fail(path, number):
 def die(path):
     """As a kernel does that LLVM cannot compile."""
     os._exit(1)
+
+
+def full(path, folder, times):
+    """Fails so many times as on a full disk; then says how many times it was called."""
+    calls = len(list(Path(folder).glob("call*")))
+    (Path(folder) / f"call{calls}").touch()
+    if calls < times:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    return calls + 1

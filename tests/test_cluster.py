@@ -183,9 +183,21 @@ def test_order_that_kills(two, scene, monkeypatch):
     """An order over which every worker dies is an error with its name, and the cluster is of use afterwards."""
     monkeypatch.setattr(orders, "MOST_LOSSES", 1)
     with connected(address(two.url)) as cluster:
-        with pytest.raises(ClusterError, match="bad: workers died or hung"):
+        with pytest.raises(ClusterError, match="bad: workers failed, died or hung"):
             list(Orders(cluster, [Order("bad", scene, errands.die)], variant=mi.variant()).results())
         assert Running(cluster, [Order("good", scene, errands.double, (3,))]).values() == [6]
+
+
+@pytest.mark.slow
+def test_worker_with_a_full_disk(two, scene, tmp_path, monkeypatch):
+    """What fails for want of disk or memory is tried again, elsewhere if somebody else is free; not for ever."""
+    with connected(address(two.url)) as cluster:
+        assert Running(cluster, [Order("f", scene, errands.full, (str(tmp_path), 2))]).values() == [3]
+        monkeypatch.setattr(orders, "MOST_LOSSES", 2)
+        with pytest.raises(ClusterError, match=r"g: workers failed.*No space left on device.* \(tcp://127"):
+            list(
+                Orders(cluster, [Order("g", scene, errands.full, (str(tmp_path), 99))], variant=mi.variant()).results()
+            )
 
 
 @pytest.mark.slow

@@ -168,6 +168,9 @@ class Orders:
             attempt.future.release()
         if result.different:
             raise mismatch(f"worker {result.worker}", result.different)
+        if result.elsewhere:
+            self._lost(attempt, f"{result.error} ({result.worker})")
+            return None
         self.pace.append(result.seconds / attempt.order.work)
         return result
 
@@ -181,7 +184,7 @@ class Orders:
         if self.losses[name] >= MOST_LOSSES:
             # Dask's own text is long, and about itself.
             reason = error if isinstance(error, str) else "the process died"
-            raise ClusterError(f"{name}: workers died or hung over it again and again, the last time: {reason}")
+            raise ClusterError(f"{name}: workers failed, died or hung over it again and again, the last time: {reason}")
         # Perhaps by another scheduler than before, which has to be asked again.
         self._listen()
         self.waiting.appendleft(attempt.order)

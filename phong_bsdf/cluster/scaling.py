@@ -19,17 +19,17 @@ PASSES_PER_WORKER = 4
 class Costs:
     """What comes to the rendering, in seconds. The defaults were measured on two cores: docs/clusters.md."""
 
-    order: float = 0.01
+    order: float = 7.5e-3
     """Of scheduler and client for each pass."""
-    byte: float = 1.0e-8
+    byte: float = 1.4e-8
     """Of the client for each byte of a pass: received, written, read, added up."""
-    worker: float = 0.015
+    worker: float = 7.5e-3
     """Of the worker for each pass, beside rendering."""
-    worker_byte: float = 2.0e-8
+    worker_byte: float = 1.4e-8
     """Of the worker for each byte of a pass: encoded."""
-    start: float = 5.0
+    start: float = 1.2
     """Until workers render: connection, import, kernels."""
-    bundle_byte: float = 3.0e-9
+    bundle_byte: float = 1.1e-8
     """Of a worker that gets the scene from another, and writes it."""
 
 

@@ -61,6 +61,8 @@ class Result:
     worker: str
     different: str = ""
     """Versions that the worker has instead of the client's: then nothing was done."""
+    elsewhere: bool = False
+    """Whether it was the worker's fault, so that another one may do better."""
 
 
 def environment() -> dict[str, str]:
@@ -98,7 +100,7 @@ def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], at
             return Result(order.name, None, None, 0.0, worker.address, different)
         start = time.perf_counter()
         folder = Path(worker.local_directory) / "phong_bsdf"
-        value = error = None
+        value, error, elsewhere = None, None, False
         try:
             prepare(around, re.sub(r"^\w+://|:\d+$", "", worker.address))
             path = bundle.unpack(replace(order.scene, files=files), folder)
@@ -106,13 +108,16 @@ def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], at
         except Exception as caught:
             text = str(caught) if isinstance(caught, ValueError) else f"{type(caught).__name__}: {caught}"
             error = order.scene.named(re.sub(r"\s+", " ", text).strip(), folder)
-        return Result(order.name, value, error, time.perf_counter() - start, worker.address)
+            # A full disk, too little memory.
+            elsewhere = isinstance(caught, OSError | MemoryError)
+        return Result(order.name, value, error, time.perf_counter() - start, worker.address, elsewhere=elsewhere)
 
 
 def prepare(around: Surroundings, host: str) -> None:
     """Set variant and threads, where they are not yet."""
     if mi.variant() != around.variant:
-        # What was made in another variant would be of no use.
+        # What was made in another variant is of no use.
+        _kept.clear()
         gc.collect()
         mi.set_variant(around.variant)
         mi.set_log_level(mi.LogLevel.Error)

@@ -40,25 +40,28 @@ def records(plan: Plan):
     loaded, subject = planning.load(SCENE, size=size)
     scene = bundle.pack(SCENE)
     # Numbers are kept as they will be shown: seconds, and nanoseconds for each byte.
-    _, costs["worker_byte"] = _line(*_encoding(plan))
-    add("a pass, on its worker, a byte", "cost", 1e9 * costs["worker_byte"], "ns")
-    costs["start"] = add("start", "cost", _start(scene, plan), "s")
+    encoding = 1e9 * np.polyfit(*_encoding(plan), 1)[0]
+    costs["worker_byte"] = add("a byte of a pass, encoded by the worker", "cost", max(encoding, 0.0), "ns") / 1e9
+    costs["start"] = add("start of a local process", "cost", _start(scene, plan), "s")
     with connected(address("local:2")) as cluster:
         _orders(cluster, scene, 20, 0)
-        costs["order"] = add("a pass, scheduler and client", "cost",
+        costs["order"] = add("a pass, handed out and taken in", "cost",
                              [_orders(cluster, scene, plan.of(300, 20), 0) for _ in range(3)], "s")  # fmt: skip
+        # Which part of it is the worker's is not told: it counts for both.
+        costs["worker"] = costs["order"]
         large = 2**22
         sent = [(_orders(cluster, scene, plan.of(30, 4), large) - costs["order"]) / large for _ in range(3)]
         taken = [1e9 * (max(seconds, 0.0) + _folding(large)) for seconds in sent]
-        costs["byte"] = add("a pass, scheduler and client, a byte", "cost", taken, "ns") / 1e9
-        costs["bundle_byte"] = add("the scene, a byte", "cost", 1e9 * np.array(_sent(cluster, scene, plan)), "ns") / 1e9
+        costs["byte"] = add("a byte of a pass, taken in", "cost", taken, "ns") / 1e9
+        costs["bundle_byte"] = (
+            add("a byte of the scene, sent to a worker", "cost", 1e9 * np.array(_sent(cluster, scene, plan)), "ns")
+            / 1e9
+        )
         chosen = passes.suitable_spp(cluster, scene, subject, size, spp)
     planned = planning.plan(loaded, subject, spp=spp, pass_spp=chosen)
     add("a pass", "samples per pixel chosen", planned.spp, "")
     size_bytes = scaling.pass_bytes(size[0] * size[1])
-    pass_seconds, more = _shared(plan, scene, loaded, planned, size, add)
-    # What one process of a cluster takes longer, but for the bytes.
-    costs["worker"] = add("a pass, on its worker", "cost", max(more - costs["worker_byte"] * size_bytes, 0.0), "s")
+    pass_seconds = _shared(plan, scene, loaded, planned, size, add)
     add("a pass", "bytes", size_bytes, "bytes")
     add("a pass", "time", pass_seconds, "s")
     measured = scaling.Costs(**costs)
@@ -71,12 +74,6 @@ def records(plan: Plan):
                 add("predicted", name, value, "s" if name == "seconds" else "x", workers)
         add("predicted", "time of a pass", wanted, "s", workers)
     return found
-
-
-def _line(x, y):
-    """Offset and slope of a line; neither below 0."""
-    slope, offset = np.polyfit(x, y, 1)
-    return max(float(offset), 0.0), max(float(slope), 0.0)
 
 
 def _encoding(plan):
@@ -148,14 +145,12 @@ def _sent(cluster, scene, plan):
     return took
 
 
-def _shared(plan, scene, loaded, planned, size, add) -> tuple[float, float]:
-    """Times of the picture in one process without a cluster, and on clusters of one and two, in turns.
-
-    Seconds of a pass without a cluster, and how much longer one is on a cluster of one.
-    """
+def _shared(plan, scene, loaded, planned, size, add) -> float:
+    """Times of the picture in one process without a cluster, and on clusters of one and two, in turns; seconds of a
+    pass without a cluster."""
     times = {"no cluster": [], "1 process": [], "2 processes": []}
     with connected(address("local:1")) as one, connected(address("local:2")) as two:
-        for i in range(plan.of(4, 1)):
+        for i in range(plan.of(6, 1)):
             for name, cluster in zip(times, (None, one, two), strict=True):
                 with _new(planned) as folder:
                     start = time.perf_counter()
@@ -170,8 +165,7 @@ def _shared(plan, scene, loaded, planned, size, add) -> tuple[float, float]:
         add(name, "time of the picture", took, "s")
         if name != "no cluster":
             add(name, "time / no cluster", np.array(took) / np.array(times["no cluster"]), "x")
-    alone, more = times["no cluster"], np.array(times["1 process"]) - np.array(times["no cluster"])
-    return float(np.median(alone)) / planned.count, float(np.median(more)) / planned.count
+    return float(np.median(times["no cluster"])) / planned.count
 
 
 @contextmanager
