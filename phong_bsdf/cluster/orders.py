@@ -9,6 +9,7 @@ import contextlib
 import queue
 import statistics
 import time
+import uuid
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -60,12 +61,14 @@ class Orders:
     ):  # fmt: skip
         """`seconds`: the longest that an order may take; by default told from those that are done."""
         self.cluster = cluster
-        self.around = work.Surroundings(variant, work.environment(), {})
+        # Others may use the same scheduler.
+        self.token = uuid.uuid4().hex
+        self.around = work.Surroundings(f"phong_bsdf-{self.token}", variant, work.environment(), {})
         self.waiting, self.running, self.losses = deque(), {}, {}
         for order in orders:
             self.add(order)
         self.seconds, self.on_wait = seconds, on_wait
-        self.pace: list[float] = []
+        self.pace: deque[float] = deque(maxlen=1000)
         self.number, self.sent, self.counted, self.without = 0, {}, 0.0, None
         self.finished, self.begun = queue.SimpleQueue(), queue.SimpleQueue()
 
@@ -95,7 +98,9 @@ class Orders:
 
     def _listen(self) -> None:
         # A handler must be quick and is called in another thread.
-        self.cluster.client.subscribe_topic(work.TOPIC, lambda event: self.begun.put((event[1], time.monotonic())))
+        self.cluster.client.subscribe_topic(
+            self.around.topic, lambda event: self.begun.put((event[1], time.monotonic()))
+        )
 
     def _begin_again(self) -> None:
         """After a new connection: nothing that was under way is known there."""
@@ -118,7 +123,7 @@ class Orders:
             number = self.number
             future = self.cluster.client.submit(
                 work.carry_out, replace(order, scene=replace(order.scene, files={})), self.around, self._files(order),
-                number, pure=False, key=f"{order.name}-{number}-{id(self)}",
+                number, pure=False, key=f"{order.name}-{number}-{self.token}",
             )  # fmt: skip
             self.running[number] = _Attempt(order, number, future)
             future.add_done_callback(lambda _, number=number: self.finished.put(number))
@@ -139,7 +144,7 @@ class Orders:
             with warnings.catch_warnings():
                 # Dask would rather have them scattered.
                 warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-                key = f"files-{self.number}-{id(self)}"
+                key = f"files-{self.number}-{self.token}"
                 known = self.sent[names] = self.cluster.client.submit(dict, order.scene.files, pure=False, key=key)
         return known
 
@@ -195,21 +200,21 @@ class Orders:
                 event, now = self.begun.get_nowait()
                 if attempt := self.running.get(event["attempt"]):
                     attempt.started, attempt.worker = now, event["worker"]
+        pace = self._pace()
         for attempt in list(self.running.values()):
-            limit = self._limit(attempt.order)
+            # Twice as long each time that the order was lost, for it may be the slow one.
+            limit = pace(attempt.order) * 2 ** self.losses[attempt.order.name]
             if attempt.started and time.monotonic() - attempt.started > limit:
                 del self.running[attempt.number]
                 self._lost(attempt, f"nothing for {limit:.0f} s (--task-timeout)")
                 self._end_worker(attempt.worker)
 
-    def _limit(self, order: Order) -> float:
-        """Seconds for an order; twice as many each time that it was lost, for it may be the slow one."""
-        known = self.seconds
-        if known is None:
-            known = (
-                max(LEAST_SECONDS, PATIENCE * statistics.median(self.pace) * order.work) if self.pace else FIRST_SECONDS
-            )
-        return known * 2 ** self.losses[order.name]
+    def _pace(self) -> Callable[[Order], float]:
+        """How many seconds an order may take."""
+        if self.seconds or not self.pace:
+            return lambda order: self.seconds or FIRST_SECONDS
+        usual = PATIENCE * statistics.median(self.pace)
+        return lambda order: max(LEAST_SECONDS, usual * order.work)
 
     def _end_worker(self, worker: str) -> None:
         """A task that hangs cannot be cancelled: its process is replaced, or forgotten where nobody minds it."""
@@ -224,7 +229,7 @@ class Orders:
     def _give_up(self) -> None:
         """Leave nothing on the cluster."""
         with contextlib.suppress(Exception):
-            self.cluster.client.unsubscribe_topic(work.TOPIC)
+            self.cluster.client.unsubscribe_topic(self.around.topic)
             self.cluster.client.cancel([attempt.future for attempt in self.running.values()], force=True)
         self.running, self.sent = {}, {}
 

@@ -17,8 +17,6 @@ import numpy as np
 from .. import __version__, bundle
 from ..bundle import Bundle
 
-TOPIC = "phong_bsdf"
-
 # What this process has loaded for the orders of one run.
 _kept = {}
 
@@ -42,8 +40,10 @@ class Order:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What all orders need."""
+    """What all orders of a run need."""
 
+    topic: str
+    """Of the events that tell the client that an order has begun."""
     variant: str
     environment: Mapping[str, str]
     workers: Mapping[str, int]
@@ -95,7 +95,7 @@ def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], at
     worker = get_worker()
     with _one_at_a_time:
         # Tells the client from when on to count.
-        worker.log_event(TOPIC, {"order": order.name, "attempt": attempt, "worker": worker.address})
+        worker.log_event(around.topic, {"attempt": attempt, "worker": worker.address})
         if different := differences(around.environment, environment()):
             return Result(order.name, None, None, 0.0, worker.address, different)
         start = time.perf_counter()
