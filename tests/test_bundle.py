@@ -78,7 +78,7 @@ def test_same_picture(scene, tmp_path):
     assert not any(str(tmp_path).encode() in text for text in packed.texts.values())
 
 
-@pytest.mark.parametrize("name", ["textured", "scene-6", "cameras"])
+@pytest.mark.parametrize("name", ["textured", "scene-6", "scene-3"])
 def test_course_scenes(name, tmp_path):
     """Scenes with meshes, textures and defines of numbers."""
     path = SCENES / f"course/{name}.xml"
