@@ -109,11 +109,11 @@ def remove_leftovers(path: Path) -> None:
         leftover.unlink()
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; OSError, with its name, where that is not possible."""
+def replace_file(path: Path, content: str | bytes) -> None:
+    """Write a file, whole or not at all; OSError, with its name, where that is not possible."""
     try:
         with _whole(Path(path)) as temporary:
-            Path(temporary).write_text(text, encoding="utf-8")
+            Path(temporary).write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
         raise OSError(f"'{path}' could not be written: {error.strerror or error}") from None
 

@@ -77,6 +77,12 @@ class Store:
         path.parent.mkdir(exist_ok=True)
         images.write(path, image, metadata={**(metadata or {}), RECORD: json.dumps(dataclasses.asdict(made))})
 
+    def keep(self, key: str, spp: int, repeat: int, content: bytes) -> None:
+        """Write a pass as the file that `add` made elsewhere; OSError where the disk is full."""
+        path = self.path(key, spp, repeat)
+        path.parent.mkdir(exist_ok=True)
+        images.replace_file(path, content)
+
     def list(self, key: str) -> list[Pass]:
         """The records of all passes of a key, by samples, then repeats."""
         found = (self._read(path) for path in (self.passes / key).glob("*-spp-repeat-*.exr"))

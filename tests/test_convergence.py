@@ -339,7 +339,7 @@ def test_first_rendering_and_compiling_are_not_timed(scene, monkeypatch):
         seconds = {1: 3.0, 2: 0.5}[calls.count(spp)] + 0.25 * spp
         return rendering.Rendering(np.zeros((2, 2, 3)), "none", spp, seed, 1, 0.0, seconds, compiled), seconds
 
-    monkeypatch.setattr(measuring, "_timed", timed)
+    monkeypatch.setattr(measuring, "timed_rendering", timed)
     monkeypatch.setattr(Store, "add", lambda self, key, p, image: made.append(p))
     planned = planning.plan(Path("a.xml"), given=[("path", {})], levels=(1, 4, 16), repeats=1)
     monkeypatch.setattr(measuring._Session, "make_reference", lambda self, reference: None)

@@ -92,6 +92,7 @@ class Assignment:
     ):  # fmt: skip
         """Loads and renders; raises `rendering.SceneError`."""
         self.options = options or Options()
+        self.settings = {"camera": camera, "spp": spp, "size": size, "seed": seed}
         # Surfaces keep their names.
         state = rendering.parse(path, defines, merge=False)
         self.directions = [tuple(node.props["direction"]) for node in state.nodes if _is_directional(node)]

@@ -13,6 +13,7 @@ from .explore import explore
 from .merge import merge
 from .render import render
 from .stability import stability
+from .sweep import sweep
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -21,5 +22,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, merge, check, convert, compare, converge, explain, explore, stability, doctor):
+for command in (render, sweep, merge, check, convert, compare, converge, explain, explore, stability, doctor):
     main.add_command(command)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from .clusters import cluster_options
 from .options import scene_options
 from .session import errors, progress, start
 
@@ -31,8 +32,9 @@ FEW = 3
               help="Points for --gradescope.")  # fmt: skip
 @click.option("--html", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Also write pages into DIR.")
 @scene_options
+@cluster_options
 def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradescope, points, folder,
-          variant, defines, spp, size, camera, seed, threads, verbose):  # fmt: skip
+          variant, defines, spp, size, camera, seed, threads, cluster, verbose):  # fmt: skip
     """Check PICTURES that should show SCENE, and say what is wrong with them.
 
     PICTURES are files (PNG, JPEG, EXR, PPM, BMP, NumPy arrays) or folders of them. Exit 1: some are wrong.
@@ -63,15 +65,13 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
             assignment = grading.Assignment(
                 scene, dict(defines), camera=camera, spp=spp or 0, size=size, seed=seed, options=options
             )
-            grades, names, labels = [], report.page_names(files), report.labels(files)
+            names, labels = report.page_names(files), report.labels(files)
             if folder:
                 folder.mkdir(parents=True, exist_ok=True)
-            for i, file in enumerate(files):
-                show(f"checking {labels[i]}", i / len(files))
-                checked = assignment.check(file, labels[i])
-                grades.append(checked.grade)
-                if folder:
-                    report.write_page(folder, assignment, checked, names[i])
+            if cluster:
+                grades = _elsewhere(cluster, assignment, dict(defines), files, labels, names, folder, show, verbose)
+            else:
+                grades = _here(assignment, files, labels, names, folder, show)
         if folder:
             report.write_index(folder, assignment, grades, names)
         if gradescope:
@@ -86,6 +86,48 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         said = "".join(report.text(grade) + "\n" for grade in grades) if len(grades) < FEW else report.table(grades)
     click.echo(said, nl=False, err=code == 2 and not as_json)
     sys.exit(code)
+
+
+def _here(assignment, files, labels, names, folder, show) -> list:
+    """The grades of all pictures."""
+    from ..report import check as report
+
+    grades = []
+    for i, file in enumerate(files):
+        show(f"checking {labels[i]}", i / len(files))
+        checked = assignment.check(file, labels[i])
+        grades.append(checked.grade)
+        if folder:
+            report.write_page(folder, assignment, checked, names[i])
+    return grades
+
+
+def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, verbose) -> list:
+    """The same, by a cluster. What is no file is graded here."""
+    import mitsuba as mi
+
+    from .. import bundle, images
+    from ..cluster import checks
+
+    scene = bundle.pack(assignment.loaded.path, defines, choice.root)
+    there = [i for i, file in enumerate(files) if file.is_file()]
+    missing = [i for i in range(len(files)) if i not in there]
+    of_missing = _here(assignment, *([of[i] for i in missing] for of in (files, labels, names)), folder, show)
+    grades = dict(zip(missing, of_missing, strict=True))
+    show("connecting", 0)
+    with choice.connected(verbose) as cluster:
+        done = checks.run(
+            cluster, scene, checks.task(assignment), [files[i] for i in there], [labels[i] for i in there],
+            [names[i] if folder else None for i in there], variant=mi.variant(), seconds=choice.seconds,
+            on_wait=lambda what: show(what, None),
+        )  # fmt: skip
+        for number, grade, page in done:
+            i = there[number]
+            grades[i] = grade
+            show(f"checked {len(grades)} of {len(files)}", len(grades) / len(files))
+            if folder:
+                images.replace_file(folder / f"{names[i]}.html", page)
+    return [grades[i] for i in range(len(files))]
 
 
 def find(paths, suffixes) -> tuple[list[Path], list[Path]]:

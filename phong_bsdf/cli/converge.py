@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from .clusters import cluster_options
 from .options import Levels, MethodSpec, renderer_options
 from .session import errors, progress, start
 
@@ -36,14 +37,17 @@ from .session import errors, progress, start
               help="Draw again what is in this folder, without rendering.")  # fmt: skip
 @click.option("--lobes", is_flag=True, help="Instead of a scene: the formulas of the lobes, beside naive ones.")
 @renderer_options
+@cluster_options
 def converge(scene, folder, given, levels, repeats, time_budget, reference, drawn, lobes, variant, defines, size,
-             camera, seed, threads, verbose):  # fmt: skip
+             camera, seed, threads, cluster, verbose):  # fmt: skip
     """Measure the error of rendering methods against their time, on a SCENE of yours. Exit 1: a method failed."""
     with errors():
         from .. import passes
         from ..report import page
 
         _check_arguments(scene, folder, drawn, lobes)
+        if cluster and (drawn or lobes):
+            raise ValueError("converge: --cluster is for the references of a scene")
         page.check_installed("scipy")
         if drawn:
             with progress() as show:
@@ -64,7 +68,8 @@ def converge(scene, folder, given, levels, repeats, time_budget, reference, draw
                     scene, dict(defines), given=given, levels=levels, repeats=repeats, camera=camera, size=size,
                     seed=seed, reference=reference,
                 )  # fmt: skip
-                failed = _measure(passes.Store(folder), planned, time_budget, show)
+                elsewhere = _Elsewhere(cluster, scene, dict(defines), show, verbose) if cluster else None
+                failed = _measure(passes.Store(folder), planned, time_budget, show, elsewhere)
     sys.exit(1 if failed else 0)
 
 
@@ -77,11 +82,13 @@ def _check_arguments(scene, folder, drawn, lobes) -> None:
         raise ValueError("converge: give a folder to write to: -o DIR")
 
 
-def _measure(store, planned, time_budget, show) -> bool:
+def _measure(store, planned, time_budget, show, elsewhere) -> bool:
     from ..convergence import measuring, planning
 
     with store.opened():
         planning.write_run(store, planned.run)
+        if elsewhere:
+            elsewhere.make_references(planned, store, (time_budget or float("inf")) / 2)
         measuring.measure(planned, store, time_budget=time_budget or float("inf"), on_progress=show)
         return _draw(store, show)
 
@@ -92,6 +99,26 @@ def _measure_lobes(store, repeats, seed, show) -> bool:
     with store.opened():
         lobe_errors.measure(store, repeats=repeats, seed=seed, on_progress=show)
         return _draw(store, show)
+
+
+class _Elsewhere:
+    """Makes references on a cluster, and lets go of it before anything is timed."""
+
+    def __init__(self, choice, scene, defines, show, verbose):
+        from .. import bundle
+
+        self.choice, self.show, self.verbose = choice, show, verbose
+        self.scene = bundle.pack(scene, defines, choice.root)
+
+    def make_references(self, planned, store, time_budget) -> None:
+        from ..cluster import references
+
+        self.show("connecting", 0)
+        with self.choice.connected(self.verbose) as cluster:
+            references.render(
+                cluster, self.scene, planned, store, time_budget=time_budget, seconds=self.choice.seconds,
+                on_progress=self.show, on_wait=lambda what: self.show(what, None),
+            )  # fmt: skip
 
 
 def _draw(store, show) -> bool:

@@ -1,5 +1,7 @@
 """What `phong-bsdf render --passes` does beside rendering: passes that are there, pictures in between, Ctrl-C."""
 
+import contextlib
+import functools
 import sys
 import time
 from pathlib import Path
@@ -8,14 +10,14 @@ from pathlib import Path
 LEAST_SECONDS, TIMES_WRITING = 5, 40
 
 
-def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show) -> str:
+def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show, elsewhere=None) -> str:
     """Render and write a picture in passes; a line to say about it."""
     from .. import images
     from ..passes import Store
     from ..progressive import folder as folders
     from ..progressive import planning
 
-    with Store(path).opened() as store:
+    with Store(path).opened() as store, contextlib.ExitStack() as stack:
         for output in picture.outputs:
             images.remove_leftovers(output)
         held = folders.stored(store)
@@ -25,15 +27,18 @@ def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show)
                              "or choose another folder")  # fmt: skip
         # Where an option is not given, as before.
         spp, pass_spp = spp or (held.total if held else 0), pass_spp or (held.asked if held else None)
+        if elsewhere:
+            stack.enter_context(elsewhere)
+            pass_spp = pass_spp or elsewhere.pass_spp(picture, spp)
         plan = planning.plan(picture.loaded, picture.subject, spp=spp, seed=seed, pass_spp=pass_spp)
         folder = folders.claim(store, plan)
         try:
-            return _Run(picture, folder, target, show).render()
+            return _Run(picture, folder, target, show, elsewhere).render()
         except KeyboardInterrupt:
             _say(f"Stopped: {_kept(folder)}")
             raise
-        except OSError as error:
-            raise OSError(f"{error}; {_kept(folder)}") from None
+        except (OSError, ValueError) as error:
+            raise type(error)(f"{error}; {_kept(folder)}") from None
 
 
 def _kept(folder) -> str:
@@ -44,8 +49,8 @@ def _kept(folder) -> str:
 class _Run:
     """One rendering of the passes that a folder lacks."""
 
-    def __init__(self, picture, folder, target, show):
-        self.picture, self.folder, self.target, self.show = picture, folder, target, show
+    def __init__(self, picture, folder, target, show, elsewhere):
+        self.picture, self.folder, self.target, self.show, self.elsewhere = picture, folder, target, show, elsewhere
         self.plan = folder.plan
         self.there, self.said = len(folder.finished()), "rendering"
         self.written, self.pause = time.perf_counter(), LEAST_SECONDS
@@ -54,8 +59,9 @@ class _Run:
         """Render, and write the pictures; a line to say about it."""
         from ..progressive import running
 
+        rendered = self.elsewhere.render if self.elsewhere else functools.partial(running.render, self.picture.loaded)
         start = time.perf_counter()
-        for mean in running.render(self.picture.loaded, self.folder, on_broken=self._broken, on_progress=self._at):
+        for mean in rendered(self.folder, on_broken=self._broken, on_progress=self._at):
             error = mean.relative_error()
             self.said = f"pass {mean.count} of {self.plan.count}" + (f", error {percent(error)}" if error else "")
             if self._is_enough(mean, error):
@@ -102,3 +108,40 @@ def _say(text: str) -> None:
 def percent(error: float | None) -> str:
     """`0.83 %`, or that it is not known."""
     return "unknown" if error is None else f"{100 * error:.2g} %"
+
+
+class Elsewhere:
+    """Renders passes on a cluster. Inside `with` it is connected."""
+
+    def __init__(self, choice, scene, defines, size, verbose, show):
+        from .. import bundle
+
+        self.choice, self.size, self.verbose, self.show = choice, size, verbose, show
+        self.scene = bundle.pack(scene, defines, choice.root)
+
+    def __enter__(self):
+        self.show("connecting", 0)
+        self.connection = self.choice.connected(self.verbose)
+        self.cluster = self.connection.__enter__()
+
+    def __exit__(self, *error):
+        return self.connection.__exit__(*error)
+
+    def pass_spp(self, picture, spp: int | None) -> int:
+        """What suits this scene and cluster."""
+        from ..cluster import passes
+
+        self.show("measuring", 0)
+        spp = spp or picture.loaded.sensor(picture.subject.camera).sampler().sample_count()
+        return passes.suitable_spp(self.cluster, self.scene, picture.subject, self.size, spp,
+                                   seconds=self.choice.seconds, on_wait=self._wait)  # fmt: skip
+
+    def render(self, folder, **heard):
+        """As `progressive.running.render`."""
+        from ..cluster import passes
+
+        return passes.render(self.cluster, self.scene, folder, size=self.size, seconds=self.choice.seconds,
+                             on_wait=self._wait, **heard)  # fmt: skip
+
+    def _wait(self, what: str) -> None:
+        self.show(what, None)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from .clusters import cluster_options
 from .options import scene_options
 from .session import errors, progress, start
 
@@ -21,12 +22,16 @@ from .session import errors, progress, start
 @click.option("--target-error", type=click.FloatRange(min=0, min_open=True), metavar="PERCENT",
               help="End after the pass at which the picture's relative standard error is below this.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the passes that the folder holds; with more --spp, add some.")
+@cluster_options
 def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
-           resume, verbose):  # fmt: skip
+           resume, cluster, verbose):  # fmt: skip
     """Render a Mitsuba XML SCENE."""
     with errors():
         from .. import images
 
+        if cluster and folder is None:
+            # What comes from elsewhere is kept.
+            folder = outputs[0].with_suffix(".passes")
         for option, value in {"--pass-spp": pass_spp, "--target-error": target_error, "--resume": resume}.items():
             if value and folder is None:
                 raise ValueError(f"{option} is for a picture in passes; say where to keep them: --passes DIR")
@@ -44,10 +49,11 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
             if folder is None:
                 said = picture.at_once(spp or 0, seed, show)
             else:
-                from .passes import in_passes
+                from .passes import Elsewhere, in_passes
 
+                elsewhere = Elsewhere(cluster, scene, dict(defines), size, verbose, show) if cluster else None
                 said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, target=target_error,
-                                 resume=resume, show=show)  # fmt: skip
+                                 resume=resume, show=show, elsewhere=elsewhere)  # fmt: skip
     click.echo(said)
 
 

@@ -53,7 +53,7 @@ def errors():
 
 @contextmanager
 def progress():
-    """A progress bar on a terminal, nothing elsewhere. Yields show(what, share done)."""
+    """A progress bar on a terminal, nothing elsewhere. Yields show(what, share done); None: the share as it was."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -17,7 +17,7 @@ import mitsuba as mi
 
 from .. import metrics, passes, rendering
 from ..passes import Pass, Store
-from .planning import MethodRun, Plan, ReferenceRun
+from .planning import MethodRun, Plan, ReferenceRun, Run
 
 # Fewer give a reference no error bar worth the name, however short of time.
 LEAST_REFERENCE_PASSES = 4
@@ -48,6 +48,19 @@ def measure(
     for repeat in range(planned.run.repeats):
         for method in planned.run.methods:
             session.make_passes(method, repeat)
+
+
+def seed_of(run: Run, key: str, spp: int, number: int, seed_bit: int = 0) -> int:
+    """The seed of a pass."""
+    text = passes.digest(f"{run.seed}/{key}/{spp}/{number}", 8)
+    # A large rendering goes in passes of consecutive seeds: leave them room.
+    return int(text, 16) % 2**30 | seed_bit
+
+
+def record(run: Run, spp: int, seed: int, number: int, seconds: float, *, warmup: float = 0.0, where: str = "") -> Pass:
+    """The record of a pass that was made just now, on the machine `where`, or that of the run."""
+    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    return Pass(spp, seed, number, seconds, warmup, run.variant, run.versions, where or run.machine, now)
 
 
 class _Session:
@@ -104,19 +117,16 @@ class _Session:
 
     def _pass(self, loaded, key: str, spp: int, repeat: int, seed_bit: int, *, timed: bool, first: bool) -> None:
         run = self.plan.run
-        text = passes.digest(f"{run.seed}/{key}/{spp}/{repeat}", 8)
-        # A large rendering goes in passes of consecutive seeds: leave them room.
-        seed = int(text, 16) % 2**30 | seed_bit
-        result, seconds = _timed(loaded, run.camera, spp, seed)
+        seed = seed_of(run, key, spp, repeat, seed_bit)
+        result, seconds = timed_rendering(loaded, run.camera, spp, seed)
         warmup = 0.0
         # The first rendering of a scene, and one that compiles, says what that costs; the next one its own time.
         if timed and dr.is_jit_v(mi.Float) and (first or result.compiled):
             before = seconds
-            result, seconds = _timed(loaded, run.camera, spp, seed)
+            result, seconds = timed_rendering(loaded, run.camera, spp, seed)
             warmup = max(before - seconds, 0.0)
         self.known[key, spp] = seconds
-        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        made = Pass(spp, seed, repeat, seconds, warmup, run.variant, run.versions, run.machine, now)
+        made = record(run, spp, seed, repeat, seconds, warmup=warmup)
         self.store.add(key, made, metrics.colors(result.image))
 
     def _expected(self, key: str, spp: int) -> float:
@@ -129,7 +139,7 @@ class _Session:
         self.on_progress(what, min(self.done / self.work, 1.0))
 
 
-def _timed(loaded, camera: int, spp: int, seed: int):
+def timed_rendering(loaded, camera: int, spp: int, seed: int):
     """A rendering, and the seconds from nothing being under way to all of it being done."""
     dr.sync_thread()
     start = time.perf_counter()

@@ -76,6 +76,8 @@ class Plan:
     path: Path
     states: Mapping[str, object]
     """Key -> parsed scene."""
+    limits: Mapping[str, methods.Method]
+    """Key of a reference -> the method that it is made by."""
     size: tuple[int, int] | None
     run: Run
 
@@ -106,11 +108,11 @@ def plan(
     versions, scene_hash = fingerprint.versions(), fingerprint.scene_hash(scene.path, scene.state)
     context = [scene_hash, camera, film, mi.variant(), seed, versions]
     machine = passes.machine(dr.thread_count())
-    states = {}
+    states, used = {}, {}
 
     def key(method: methods.Method, *more) -> str:
         made = f"{method.name}-{passes.digest([*context, method.spec(), *more])}"
-        states[made] = methods.applied(scene, method)
+        states[made], used[made] = methods.applied(scene, method), method
         return made
 
     runs = tuple(
@@ -127,7 +129,7 @@ def plan(
         ]
     run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
               runs, tuple(references), versions, machine)  # fmt: skip
-    return Plan(Path(path), states, size, run)
+    return Plan(Path(path), states, {r.key: used[r.key] for r in references if r.key in used}, size, run)
 
 
 def reference_grid(spp: int) -> int:

@@ -4,6 +4,7 @@ The parser is the standard library's expat. Entities, and with them entity bombs
 declared in a document type: so any document type is refused, and there is nothing left to defend against.
 """
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from xml.parsers import expat
@@ -94,8 +95,11 @@ class Node(ET.Element):
         self[list(self).index(old)] = new
 
 
-def read(path: Path) -> Node:
-    """The root element of the XML file `path`, each element with its file and line. Comments are kept."""
+def read(path: Path, *, comments: bool = True) -> Node:
+    """The root element of the XML file `path`, each element with its file and line.
+
+    Without `comments` they may hold anything, as Mitsuba's parser has it, also the `--` that XML forbids.
+    """
     parser = expat.ParserCreate()
     builder = ET.TreeBuilder(element_factory=Node, insert_comments=True)
     depth = 0
@@ -126,8 +130,10 @@ def read(path: Path) -> Node:
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CommentHandler, parser.StartDoctypeDeclHandler = comment, refuse
     try:
-        with open(path, "rb") as file:
-            parser.ParseFile(file)
+        content = path.read_bytes()
+        if not comments:
+            content = re.sub(rb"<!--.*?-->", lambda found: b"\n" * found[0].count(b"\n"), content, flags=re.DOTALL)
+        parser.Parse(content, True)
     except expat.ExpatError as error:
         raise ConversionError(f"{path}, line {error.lineno}: no XML: {expat.errors.messages[error.code]}") from None
     except (LookupError, ValueError) as error:

@@ -86,6 +86,10 @@ class Folder:
                     self.plan.subject.versions, passes.machine(dr.thread_count()), now)  # fmt: skip
         self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]))
 
+    def keep(self, index: int, content: bytes) -> None:
+        """Keep a pass as the file that `write` made elsewhere."""
+        self.store.keep(KEY, self.plan.spp, index, content)
+
     def read(self, index: int) -> np.ndarray:
         """The picture of a pass; ValueError, with its path, where the file is broken or not of this pass."""
         path = self.path(index)

@@ -45,7 +45,7 @@ def render(
     """
     plan, mean = folder.plan, WeightedMean()
     for index in range(plan.count):
-        image = _on_disk(folder, index, on_broken)
+        image = on_disk(folder, index, on_broken)
         if image is None:
             start = time.perf_counter()
             image = render_pass(loaded, plan, index, lambda share: on_progress((index + share) / plan.count)).image  # noqa: B023
@@ -55,7 +55,8 @@ def render(
         yield mean
 
 
-def _on_disk(folder: Folder, index: int, on_broken) -> np.ndarray | None:
+def on_disk(folder: Folder, index: int, on_broken: Callable[[str], None]) -> np.ndarray | None:
+    """The picture of a pass; None where there is none, or its file is broken, which `on_broken` hears."""
     if not folder.has(index):
         return None
     try:

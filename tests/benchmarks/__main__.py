@@ -20,6 +20,9 @@ from phong_bsdf.report.tables import write_csv, write_json
 from . import plots, tables, targets
 from .measure import Plan, Record
 
+# Where the others are not in speed.md.
+PAGES = {"cluster": "clusters.md"}
+
 DOCS = Path(__file__).parent.parent.parent / "docs"
 
 
@@ -28,7 +31,7 @@ DOCS = Path(__file__).parent.parent.parent / "docs"
 @click.option("--quick", is_flag=True, help="Tiny sizes, to see that everything runs: the numbers mean nothing.")
 @click.option("--variant", default="llvm_ad_rgb", show_default=True, type=click.Choice(("llvm_ad_rgb", "cuda_ad_rgb")))
 @click.option("--out", "folder", default="out/bench", show_default=True, type=click.Path(path_type=Path))
-@click.option("--docs", is_flag=True, help="Measure nothing: put the records of the folder into docs/speed.md.")
+@click.option("--docs", is_flag=True, help="Measure nothing: put the records of the folder into docs/.")
 def main(names, quick, variant, folder, docs):
     """Run the benchmarks NAMES, or all."""
     if docs:
@@ -68,20 +71,19 @@ def read(folder: Path) -> dict[str, list[Record]]:
 
 
 def document(folder: Path, docs: Path) -> None:
-    """The tables between the marks of docs/speed.md, and its plots."""
+    """The tables between the marks of docs/speed.md and docs/clusters.md, and their plots."""
     found = read(folder)
     blocks = {name: f"{tables.where(rows)}\n\n{tables.text(name, rows)}" for name, rows in found.items()}
     blocks["targets"] = targets.table(targets.outcomes([row for rows in found.values() for row in rows]))
     if (folder / "explain.txt").is_file():
         blocks["explain"] = (folder / "explain.txt").read_text()
-    page = (docs / "speed.md").read_text()
     for name, text in blocks.items():
-        before, start, rest = page.partition(f"<!-- {name} -->\n")
+        path = docs / PAGES.get(name, "speed.md")
+        before, start, rest = path.read_text().partition(f"<!-- {name} -->\n")
         _, end, after = rest.partition(f"<!-- end of {name} -->\n")
         if not (start and end):
-            raise ValueError(f"docs/speed.md has no place for '{name}'")
-        page = f"{before}{start}```text\n{text}```\n{end}{after}"
-    replace_file(docs / "speed.md", page)
+            raise ValueError(f"docs/{path.name} has no place for '{name}'")
+        replace_file(path, f"{before}{start}```text\n{text}```\n{end}{after}")
     for name in plots.PLOTS:
         if name in found:
             plots.draw(docs / f"images/speed-{name}.svg", name, found[name])

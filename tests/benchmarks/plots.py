@@ -85,7 +85,26 @@ def cold(figure, records):
     axes.legend(ncols=len(stages), fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1))
 
 
-PLOTS = {"floor": (floor, (8, 3.5)), "peers": (peers, (10, 4)), "growth": (growth, (12, 9)), "cold": (cold, (8, 2.5))}
+def cluster(figure, records):
+    """The predicted speed-up over the number of workers, and what was measured here."""
+    axes = figure.subplots()
+    workers, speedup = _points(_all(records, task="predicted", quantity="speedup"))
+    axes.loglog(workers, workers, color="grey", linewidth=0.8, label="all workers at work all the time")
+    axes.loglog(workers, speedup, marker="o", markersize=3, label="predicted: an hour of one process")
+    once = _one(records, task="no cluster", quantity="time of the picture").median
+    measured = [_one(records, task=name, quantity="time of the picture") for name in ("1 process", "2 processes")]
+    axes.loglog((1, 2), [once / row.median for row in measured], "x", color="C1", label="measured on two cores")
+    axes.set(xlabel="workers", ylabel="speed-up")
+    axes.legend(fontsize="small")
+
+
+PLOTS = {
+    "floor": (floor, (8, 3.5)),
+    "peers": (peers, (10, 4)),
+    "growth": (growth, (12, 9)),
+    "cold": (cold, (8, 2.5)),
+    "cluster": (cluster, (7, 4)),
+}
 
 
 def draw(path: Path, name: str, records: Sequence[Record]) -> None:

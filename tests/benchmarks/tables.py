@@ -25,6 +25,8 @@ class Table:
     by: tuple[str, ...]
     columns: tuple[Column, ...]
     only: dict = field(default_factory=dict)
+    grows: str = "size"
+    """What `x` is."""
 
     def text(self, records: Iterable[Record]) -> str:
         """The table, empty lines left out."""
@@ -37,7 +39,7 @@ class Table:
             cells = [self._cell(rows, column) for column in self.columns]
             if any(cell is not None for cell in cells):
                 lines.append([*map(_label, key), *map(_shown, cells)])
-        headings = [*(name if name != "x" else "size" for name in self.by), *(c.heading for c in self.columns)]
+        headings = [*(name if name != "x" else self.grows for name in self.by), *(c.heading for c in self.columns)]
         return f"{self.title}\n\n{text_table(headings, lines)}" if lines else ""
 
     @staticmethod
@@ -202,6 +204,30 @@ LOBE_TABLES = (
     ),
 )
 
+CLUSTER_TABLES = (
+    Table(
+        "What comes to the rendering",
+        ("task",),
+        (Column("ms", {"unit": "s"}, MS), Column("ns a byte", {"unit": "ns"})),
+        {"quantity": "cost"},
+    ),
+    Table(
+        "One picture, its passes as long as the command chooses",
+        ("task",),
+        (
+            Column("seconds", {"quantity": "time of the picture"}),
+            Column("time / no cluster", {"quantity": "time / no cluster"}),
+        ),
+    ),
+    Table(
+        "Predicted: an hour of one process on so many workers",
+        ("x",),
+        tuple(_of(name, "predicted", name) for name in ("time of a pass", "seconds", "speedup")),
+        {"task": "predicted"},
+        "workers",
+    ),
+)
+
 TABLES = {
     "floor": FLOOR_TABLES,
     "peers": PEER_TABLES,
@@ -211,6 +237,7 @@ TABLES = {
     "memory": MEMORY_TABLES,
     "lobes": LOBE_TABLES,
     "gradients": GRADIENT_TABLES,
+    "cluster": CLUSTER_TABLES,
 }
 
 

@@ -85,6 +85,7 @@ TARGETS = (
     Target("arrays beside the picture, a pixel", "<=", 64, "bytes",
            _is("memory", "arrays beside the picture, a pixel")),
     Target("growth of arrays over all renderings", "<=", 0, "bytes", _is("memory", "growth of arrays")),
+    Target("one process of a cluster / none", "<=", 1.05, "x", _is("cluster", "time / no cluster", "1 process")),
     # The allocator of the C library may keep some.
     Target("growth of the process over all renderings", "<=", 2**20, "bytes", _is("memory", "growth of the process")),
 )  # fmt: skip

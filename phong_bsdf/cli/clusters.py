@@ -1,0 +1,65 @@
+"""The options of commands that can do their work on a cluster."""
+
+import functools
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What `--cluster` and the options that go with it say."""
+
+    where: object
+    seconds: float | None
+    root: Path | None
+
+    @contextmanager
+    def connected(self, verbose: bool):
+        """The cluster; ValueError where it is not there or not fit."""
+        from ..cluster import connection
+
+        with connection.connected(self.where, verbose) as cluster:
+            yield cluster
+
+
+def cluster_options(command):
+    """`--cluster` and what goes with it; the command gets a `Choice` or None as `cluster`."""
+    from .session import errors
+
+    file = click.Path(path_type=Path)
+    options = (
+        click.option("--cluster", metavar="WHERE",
+                     help="Work on a Dask cluster: local, local:N (processes of this machine), tcp://host:port, "
+                          "tls://host:port, or a scheduler file. Name only clusters that you trust."),
+        click.option("--task-timeout", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
+                     help="--cluster: a worker that takes longer for one task hangs, and is replaced. Default: ten "
+                          "times as long as others take."),
+        click.option("--root", type=click.Path(path_type=Path, file_okay=False),
+                     help="--cluster: only files below this folder are sent. Default: the folder of SCENE."),
+        click.option("--tls-ca", type=file, help="--cluster: certificate of the authority (PEM)."),
+        click.option("--tls-cert", type=file, help="--cluster: certificate of this machine (PEM)."),
+        click.option("--tls-key", type=file, help="--cluster: its private key (PEM)."),
+    )  # fmt: skip
+
+    @functools.wraps(command)
+    def wrapped(*args, cluster, task_timeout, root, tls_ca, tls_cert, tls_key, **more):
+        with errors():
+            choice = _choice(cluster, task_timeout, root, (tls_ca, tls_cert, tls_key))
+        return command(*args, cluster=choice, **more)
+
+    for option in reversed(options):
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def _choice(text, seconds, root, tls) -> Choice | None:
+    if text is None:
+        if seconds or root or any(tls):
+            raise ValueError("--task-timeout, --root and the --tls options are for --cluster")
+        return None
+    from ..cluster import connection
+
+    return Choice(connection.address(text, tls), seconds, root)
