@@ -21,8 +21,10 @@ def pytest_collection_finish(session):
 
 
 @pytest.fixture(autouse=True)
-def _fresh():
-    mi.set_variant("llvm_ad_rgb")
+def _fresh(request):
+    # A change of variants reloads plugins: none between tests of one.
+    if "any_variant" not in request.fixturenames:
+        mi.set_variant("llvm_ad_rgb")
     mi.set_log_level(mi.LogLevel.Error)
     yield
     gc.collect()

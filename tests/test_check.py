@@ -50,6 +50,7 @@ def test_a_right_picture(folder):
     assert check("ada.png", "scene.xml", "--linear").exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_wrong_picture(folder):
     """Exit 1; where it is off, what the mistake is, and what to do about it."""
     draw(folder / "bert.png", "falloff")

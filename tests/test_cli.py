@@ -218,6 +218,7 @@ def test_mode(folder, variant, spp):
     assert np.array_equal(read_exr("a.exr"), by_mitsuba("a.xml", spp=spp))
 
 
+@pytest.mark.slow
 def test_default_mode_without_llvm(folder):
     """Without an LLVM the scene is rendered in scalar_rgb, with a warning that names the remedy."""
     result = child("render", "a.xml", "-o", "a.exr", env={**os.environ, "DRJIT_LIBLLVM_PATH": "/no/such.so"})
@@ -245,6 +246,7 @@ def test_summary(folder, lights):
     assert re.fullmatch(wanted, out), out
 
 
+@pytest.mark.slow
 def test_quiet_in_a_pipe(folder):
     """Where no terminal listens, a good rendering writes its one line to stdout and nothing to stderr."""
     result = child("render", "a.xml", "-o", "a.exr")

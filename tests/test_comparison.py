@@ -245,6 +245,7 @@ def test_render_options(scene):
     assert np.array_equal(images.read_exr("a.exr"), images.read_exr("out/original.exr"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "llvm_ad_spectral_polarized"))
 def test_modes(scene, variant):
     """Colours, grey and spectra; a match in another variant is the same match, to the points of a scalar one."""
@@ -254,6 +255,7 @@ def test_modes(scene, variant):
     assert float(parameters["specular_reflectance"]) == pytest.approx(0.827, rel=0.01)
 
 
+@pytest.mark.slow
 def test_physical_vocabulary_end_to_end(scene):
     """A scene in reflectances renders, and its highlight keeps the reflectance that it names."""
     try:
@@ -267,6 +269,7 @@ def test_physical_vocabulary_end_to_end(scene):
     assert dict(kept["replacements"][2]["parameters"])["diffuse_reflectance"] == "0.5"
 
 
+@pytest.mark.slow
 def test_pictures_that_are_no_numbers_are_flagged(scene):
     """A scene whose light is infinite has no errors, but a count, in the table and in the records."""
     text = Path("a.xml").read_text()
@@ -279,6 +282,7 @@ def test_pictures_that_are_no_numbers_are_flagged(scene):
     assert 'class="bad"' in Path("out/index.html").read_text()
 
 
+@pytest.mark.slow
 def test_without_flip(scene, monkeypatch):
     """Where `flip-evaluator` is not installed its column is empty."""
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)

@@ -493,6 +493,7 @@ def most_bytes(scene, keys, **options):
     return dr.detail.malloc_watermark(dr.JitBackend.LLVM)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow():
     """Neither with the depth nor with the number of lights does a reverse pass need more memory for a sample."""
     keys = [key for key in KEYS if "ball" in key]

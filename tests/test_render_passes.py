@@ -120,6 +120,7 @@ def test_finished_passes_are_not_rendered_again(monkeypatch):
     assert Path("a.exr").read_bytes() == Path("b.exr").read_bytes()
 
 
+@pytest.mark.slow
 def test_more_samples_later():
     """Four times as many: the passes that are there stay, and the picture is that of all at once."""
     render("-o", "a.exr", *OPTIONS, "--passes", "d")

@@ -89,6 +89,7 @@ def test_phong_keeps_cancelling_products(p):
     assert np.abs(value - truth).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_command(tmp_path):
     """`stability --quick` meets the bars, prints a line for each, and writes CSV, JSON, text and plots."""
     result = CliRunner().invoke(main, ["stability", "--quick", "-o", str(tmp_path / "new")])

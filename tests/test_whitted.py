@@ -244,6 +244,7 @@ def test_square_sample_counts_ignore_the_sampler(sampler):
     assert sampler != "independent" or not np.array_equal(picture(5, 0), picture(5, 5))
 
 
+@pytest.mark.slow
 def test_same_picture_in_every_variant(any_variant):
     """Course scene 6 at 32 x 32; spectral variants draw wavelengths, so within their noise."""
     spectral = "spectral" in any_variant
