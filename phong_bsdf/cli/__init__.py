@@ -7,6 +7,7 @@ from .check import check
 from .compare import compare
 from .converge import converge
 from .convert import convert
+from .demo import demo
 from .doctor import doctor
 from .explain import explain
 from .render import render
@@ -19,5 +20,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, check, convert, compare, converge, explain, stability, doctor):
+for command in (render, check, convert, compare, converge, explain, stability, demo, doctor):
     main.add_command(command)

@@ -20,12 +20,12 @@ class MirrorBlend(mi.BSDF):
     The nested BSDF is any plugin, native ones included. The mirror is on the sides that the
     nested BSDF has (`twosided` inside or outside: both).
 
-    ====  ==============================  ========  =======  =============================
-    name  type                            range     default  meaning
-    ====  ==============================  ========  =======  =============================
-    km    number, RGB, spectrum, texture  [0, 1]    0.5      mirrored part
-    bsdf  BSDF                            exactly 1          the surface under the mirror
-    ====  ==============================  ========  =======  =============================
+    ====  ==============================  =========  =======  =============================
+    name  type                            range      default  meaning
+    ====  ==============================  =========  =======  =============================
+    km    number, RGB, spectrum, texture  [0, 1]     0.5      mirrored part
+    bsdf  BSDF                            exactly 1           the surface under the mirror
+    ====  ==============================  =========  =======  =============================
 
     `km` is differentiable. Values of a texture outside the range are clamped to it. The
     delta lobe follows Mitsuba's `plastic`: the `pdf` of a mirror sample is the probability
