@@ -36,10 +36,16 @@ nitpicky = True
 def setup(app):
     """Manuals come from the source; formulas become MathML, which browsers show without a script or a network."""
     app.connect("source-read", manuals.insert)
-    app.add_html_math_renderer("mathml", inline_renderers=(visit_math, None), block_renderers=(visit_math, None))
+    app.add_html_math_renderer("mathml", inline_renderers=(formula, None), block_renderers=(displayed_formula, None))
 
 
-def visit_math(translator, node):
-    """Write a formula, in a line or of its own."""
-    translator.body.append(latex2mathml.tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
+def formula(translator, node):
+    """Write a formula within a line."""
+    translator.body.append(latex2mathml.tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def displayed_formula(translator, node):
+    """Write a formula that has a line of its own."""
+    translator.body.append(f'<div class="formula">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>')
     raise nodes.SkipNode
