@@ -40,7 +40,7 @@ def mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
 
 def geometric_mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     """Mean of the logarithms of positive values, for what varies by factors."""
-    return mean(np.log(values), confidence).map(math.exp)
+    return mean(np.log(values).tolist(), confidence).map(math.exp)
 
 
 # Pictures --------------------------------------------------------------------------------------------------------
@@ -82,7 +82,7 @@ def products(passes: Sequence[np.ndarray], references: Sequence[np.ndarray], wei
 
 def average(images: Sequence[np.ndarray]) -> np.ndarray:
     """Mean of pictures of one shape, in double precision."""
-    return sum(np.asarray(image, np.float64) for image in images) / len(images)
+    return sum((np.asarray(image, np.float64) for image in images), np.zeros(())) / len(images)
 
 
 def error(p: Products, confidence: float = CONFIDENCE) -> Estimate:

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -68,7 +69,7 @@ def explain(
     sensor = loaded.sensor(camera)
     spp = spp or sensor.sampler().sample_count()
     _shrink(loaded, camera, sensor, spp)
-    integrator = loaded.scene.integrator()
+    integrator: Any = loaded.scene.integrator()
 
     held = integrator.features(loaded.scene, sensor, spp)
     # Each feature is measured against a kernel that holds what it requires.

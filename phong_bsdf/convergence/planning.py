@@ -5,7 +5,9 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -31,7 +33,7 @@ class MethodRun:
     """A method of a run."""
 
     name: str
-    spec: Mapping[str, object]
+    spec: Mapping[str, Any]
     key: str
     limit: str
     """The reference's name."""
@@ -125,14 +127,14 @@ def plan(
             _reference(scene, limit, [(m, max(real[m.name])) for m in chosen if limits[m.name] == limit], key)
             for limit in {limit.name: limit for limit in limits.values()}.values()
         ]
-    run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
+    run = Run(Path(path).name, scene_hash, scene.integrator, str(mi.variant()), camera, tuple(levels), repeats, seed,
               runs, tuple(references), versions(), machine)  # fmt: skip
     return Plan(Path(path), states, size, run)
 
 
 def versions() -> str:
     """All that a picture depends on besides its scene."""
-    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}"
+    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {metadata.version('drjit')}"
 
 
 def reference_grid(spp: int) -> int:
@@ -195,7 +197,7 @@ def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) 
     if size:
         return size
     nodes = (scene.state.nodes[i] for i in methods.children(sensors[camera - 1]))
-    film = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
+    film: Any = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
     width, height = (film.get(name, default) for name, default in (("width", 768), ("height", 576)))
     return film.get("crop_width", width), film.get("crop_height", height)
 

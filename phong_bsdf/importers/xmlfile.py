@@ -6,6 +6,7 @@ declared in a document type: so any document type is refused, and there is nothi
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 from xml.parsers import expat
 
 from .records import ConversionError
@@ -79,7 +80,7 @@ class Node(ET.Element):
 
     def become(self, other: "Node") -> None:
         """Turn into a copy of another element, but for what this one is called and its id."""
-        kept = {key: self.get(key) for key in ("name", "id") if key in self.attrib}
+        kept = {key: self.attrib[key] for key in ("name", "id") if key in self.attrib}
         children = [child.clone() for child in other.nodes]
         self.tag, self.attrib = other.tag, {**other.attrib, **kept}
         for key in ("name", "id"):
@@ -97,7 +98,7 @@ class Node(ET.Element):
 def read(path: Path) -> Node:
     """The root element of the XML file `path`, each element with its file and line. Comments are kept."""
     parser = expat.ParserCreate()
-    builder = ET.TreeBuilder(element_factory=Node, insert_comments=True)
+    builder: Any = ET.TreeBuilder(element_factory=Node, insert_comments=True)
     depth = 0
 
     def start(tag, attributes):
