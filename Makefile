@@ -15,7 +15,8 @@ test: $(READY)
 check: $(READY)
 	@$(BIN)/python -m pip install -q --group lint
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
-	@$(BIN)/pyright && $(BIN)/pyright --pythonversion 3.13
+	@$(BIN)/pyright --pythonpath $(BIN)/python
+	@$(BIN)/pyright --pythonpath $(BIN)/python --pythonversion 3.13
 
 # Builds the pages and measures nothing; figures and tables are in the repository.
 docs: $(READY)
