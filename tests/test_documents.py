@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from documents import PAGES, ROOT, Block, blocks, headings, links
 
-from phong_bsdf import stability
+from phong_bsdf import images, stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors
 
@@ -199,6 +199,12 @@ def test_extras_exist(page):
     assert asked <= set(re.findall(r"^(\w+) = ", section, re.M))
 
 
+def test_the_readme_lists_every_command():
+    """A new user finds all of them on the first page."""
+    listed = re.findall(r"^phong-bsdf (\w+)", (ROOT / "README.md").read_text(), re.M)
+    assert sorted(listed) == sorted(main.commands)
+
+
 def test_the_readmes_figures_are_those_of_the_speed_page():
     """Its table says what docs/speed.md and docs/stability.md have measured."""
     readme, speed, stability_page = (
@@ -242,3 +248,18 @@ def test_every_picture_is_shown_and_made_by_a_command(monkeypatch):
     there = {path.name for path in (ROOT / "docs/images").iterdir()}
     shown = {address.rsplit("/", 1)[-1] for page in PAGES for address, _ in links(page) if "images/" in address}
     assert there == made == shown
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["mirror-floor.png", "model-terms.png", "model-exponents.png", "model-vocabularies.png", "highlights.png"],
+)
+def test_pictures_are_what_the_package_renders_now(name, monkeypatch):
+    """Those in the repository are not older than what they show: `make figures` would draw the same."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import figures
+
+    drawn = images.to_8bit(images.srgb(figures.FIGURES[name]()))
+    kept = np.array(mi.Bitmap(str(ROOT / "docs/images" / name)))
+    # Where rounding decides, a sample at an edge may see another surface.
+    assert drawn.shape == kept.shape and np.mean(drawn != kept) < 1e-3

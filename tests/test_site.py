@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from phong_bsdf.cli import main
+from phong_bsdf.registry import PLUGINS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -70,8 +71,9 @@ def test_formulas_are_drawn(site, browser):
 
 
 def test_manuals_of_the_plugins(site, browser):
-    """Tables of the docstrings are tables, examples are code, formulas stay as they are typed."""
+    """All are there; tables of the docstrings are tables, examples are code, formulas stay as they are typed."""
     with shown(browser, site / "plugins.html") as page:
+        assert page.locator("article h2").all_inner_texts() == list(PLUGINS)
         for plugin, parameters in (("phong", "kd ks p"), ("mirrorblend", "km bsdf"), ("whitted", "convention shadows")):
             section = page.locator(f"section#{plugin}")
             assert set(parameters.split()) <= set(section.locator("tbody td:first-child").all_inner_texts())
