@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/ready
 
-.PHONY: demo test check docs figures stability study bench clean
+.PHONY: demo test check docs figures gallery explorer stability study bench clean
 
 demo: $(READY)
 	@$(BIN)/phong-bsdf demo -o out
@@ -26,6 +26,14 @@ docs: $(READY)
 # Draws figures anew; ONLY="albedo.svg" draws that one.
 figures: $(READY)
 	@$(BIN)/python docs/figures.py $(ONLY)
+
+# Renders all scenes small, for docs/gallery.md.
+gallery: $(READY)
+	@$(BIN)/python docs/gallery.py
+
+# Writes the page of docs/explorer, and its picture where there is a Chromium.
+explorer: $(READY)
+	@$(BIN)/python docs/explorer.py
 
 # Measures the table and the plot of docs/stability.md: a minute.
 stability: $(READY)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math import latex2mathml
+from sphinx.addnodes import download_reference
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -37,6 +38,7 @@ def setup(app):
     """Manuals come from the source; formulas become MathML, which browsers show without a script or a network."""
     app.connect("source-read", manuals.insert)
     app.add_html_math_renderer("mathml", inline_renderers=(formula, None), block_renderers=(displayed_formula, None))
+    app.add_node(download_reference, override=True, html=(open_file, close_file))
 
 
 def formula(translator, node):
@@ -49,3 +51,14 @@ def displayed_formula(translator, node):
     """Write a formula that has a line of its own."""
     translator.body.append(f'<div class="formula">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>')
     raise nodes.SkipNode
+
+
+def open_file(translator, node):
+    """Link to a file that is no page, the explorer or a source, so that the browser shows it instead of saving it."""
+    target = f"{translator.builder.dlpath}/{node['filename']}"
+    translator.body.append(translator.starttag(node, "a", "", CLASS="reference internal", href=target))
+
+
+def close_file(translator, node):
+    """The end of such a link."""
+    translator.body.append("</a>")

@@ -12,14 +12,31 @@ LANES = 2**26
 STRIDE = 0x9E3779B9
 
 
+# All cells of the grid.
+WHOLE = (1, (0, 0))
+
+
+def grid(spp: int) -> int | None:
+    """n, where `spp` samples are the centres of an n x n grid; None where a sampler chooses them."""
+    n = math.isqrt(spp)
+    return n if n * n == spp else None
+
+
+def draws(sensor) -> bool:
+    """Whether a camera needs random numbers beside the position in a pixel: for wavelengths, time or lens."""
+    return mi.is_spectral or sensor.shutter_open_time() > 0 or sensor.needs_aperture_sample()
+
+
 class CameraSamples:
     """The samples of one rendering, numbered pixel by pixel.
 
     `spp` = 1 is the centre of each pixel, `spp` = n^2 the centres of an n x n grid; any other number
     is left to the film's sampler, as are wavelengths, lens and shutter where the camera has them.
+    `part` = (k, (column, row)): the n x n samples are every k-th in both directions of a grid of k n x k n,
+    from that column and row on. Such parts of a grid share no sample, and together they are the grid.
     """
 
-    def __init__(self, sensor, seed: int, spp: int):
+    def __init__(self, sensor, seed: int, spp: int, part=WHOLE):
         self.sensor = sensor
         self.film = sensor.film()
         self.jit = dr.is_jit_v(mi.Float)
@@ -27,15 +44,17 @@ class CameraSamples:
         self.has_lens = sensor.needs_aperture_sample()
 
         spp = spp or sensor.sampler().sample_count()
-        n = math.isqrt(spp)
-        self.grid = n if n * n == spp else None
+        self.grid = grid(spp)
+        self.step, shift = part
+        # No literals where there are several parts, which share a kernel.
+        self.shift = dr.opaque(mi.Point2u, shift) if self.jit and part != WHOLE else mi.Point2u(shift)
         self.sampler = None
         if self.grid is None:
             self.sampler = sensor.sampler().clone()
             self.sampler.set_sample_count(spp)
             # Samplers round the number as they need.
             spp = self.sampler.sample_count()
-        elif mi.is_spectral or self.moves or self.has_lens:
+        elif draws(sensor):
             self.sampler = mi.load_dict({"type": "independent", "sample_count": spp})
         self.spp = spp
 
@@ -88,17 +107,19 @@ class CameraSamples:
         else:
             cell = index - (pixel - first) * self.spp
             row = cell // self.grid
-            inside = (mi.Point2f(cell - row * self.grid, row) + 0.5) / self.grid
+            cell = mi.Point2u(cell - row * self.grid, row) * self.step + self.shift
+            inside = (mi.Point2f(cell) + 0.5) / (self.grid * self.step)
         position = corner + inside
 
         time = self.sensor.shutter_open()
         if self.moves:
             time += self.sampler.next_1d() * self.sensor.shutter_open_time()
-        ray, weight = self.sensor.sample_ray_differential(
-            time=time,
-            sample1=self.sampler.next_1d() if mi.is_spectral else 0,
-            sample2=(position - self.offset) / self.size,
-            sample3=self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5),
-        )
+        wavelength = self.sampler.next_1d() if mi.is_spectral else 0
+        lens = self.sampler.next_2d() if self.has_lens else mi.Point2f(0.5)
+        # The camera may be what is differentiated.
+        with dr.resume_grad():
+            ray, weight = self.sensor.sample_ray_differential(
+                time=time, sample1=wavelength, sample2=(position - self.offset) / self.size, sample3=lens
+            )
         # The box filter needs to know the pixel only, and no rounding may miss it.
         return ray, weight, corner + 0.5 if self.film.rfilter().is_box_filter() else position

@@ -80,6 +80,45 @@ def products(passes: Sequence[np.ndarray], references: Sequence[np.ndarray], wei
     return Products(gram[:n, :n], gram[:n, n:], gram[n:, n:])
 
 
+class WeightedMean:
+    """Mean of pictures of one scene, each weighted by its number of samples, and how far it may be from the truth.
+
+    In double precision, in the order of `add`: the same pictures in the same order give the same bits.
+    """
+
+    def __init__(self):
+        self.count = 0
+        self.samples = 0
+        self._sum = np.zeros(())
+        self._squares = 0.0
+
+    def add(self, image: np.ndarray, samples: int) -> None:
+        """A picture, shape (height, width, channels), of so many samples per pixel."""
+        weighted = samples * np.asarray(image, np.float64)
+        self._squares += float(np.vdot(weighted, image))
+        self._sum = weighted if self.count == 0 else np.add(self._sum, weighted, out=self._sum)
+        self.count += 1
+        self.samples += samples
+
+    def image(self) -> np.ndarray:
+        """The mean, float32."""
+        return (self._sum / self.samples).astype(np.float32)
+
+    def relative_error(self) -> float | None:
+        """Standard error of the mean, root mean square over pixels and channels, over the picture's mean value.
+
+        From the spread of the pictures. None for fewer than two, and where it is no number.
+        """
+        if self.count < 2:
+            return None
+        # Pictures of independent samples spread by sigma^2 / samples.
+        spread = self._squares - float(np.vdot(self._sum, self._sum)) / self.samples
+        variance = max(spread, 0.0) / (self.count - 1) / self._sum.size
+        level = float(np.abs(self._sum).sum()) / self.samples / self._sum.size
+        error = math.sqrt(variance / self.samples) / level if level > 0 else math.nan
+        return error if math.isfinite(error) else None
+
+
 def average(images: Sequence[np.ndarray]) -> np.ndarray:
     """Mean of pictures of one shape, in double precision."""
     return sum((np.asarray(image, np.float64) for image in images), np.zeros(())) / len(images)

@@ -5,8 +5,10 @@ Mitsuba's own EXR routines are avoided: they wait for ever where Dr.Jit has no f
 """
 
 import contextlib
+import glob
 import os
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import numpy as np
 
 FORMATS = (".exr", ".png")
 CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
+CHECKSUM = "crc32"
 
 
 def check_writable(path: Path) -> None:
@@ -47,7 +50,7 @@ def check_folder(folder: Path) -> None:
 def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
     """Write a linear image of shape (height, width, channels), channels Y, YA, RGB or RGBA.
 
-    EXR holds it as it is (32-bit float), with `metadata` as string attributes. PNG holds
+    EXR holds it as it is (32-bit float), with `metadata` and a checksum as string attributes. PNG holds
     round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding. Raises OSError
     where the file cannot be written in full.
     """
@@ -62,7 +65,9 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
             else:
                 _write_png(temporary, image, linear)
         except RuntimeError as error:
-            raise OSError(f"'{path}' could not be written: {error}") from None
+            # The library names the temporary file first, then the reason.
+            reason = str(error).rsplit('". ', 1)[-1].rstrip(".")
+            raise OSError(f"'{path}' could not be written: {reason}") from None
 
 
 def read_exr(path: Path) -> np.ndarray:
@@ -81,6 +86,27 @@ def read_metadata(path: Path) -> dict[str, str]:
 
     with OpenEXR.File(str(path), header_only=True) as file:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
+
+
+def read_checked(path: Path) -> np.ndarray:
+    """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
+    try:
+        # The library says what is wrong on stdout.
+        with contextlib.redirect_stdout(None):
+            image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
+    except (RuntimeError, ValueError):
+        image, wanted = None, None
+    # Files of other programs have none.
+    if image is None or wanted not in (None, _checksum(image)):
+        raise ValueError(f"'{path}' is broken")
+    return image
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what processes that were killed while they wrote `path` have left beside it."""
+    path = Path(path)
+    for leftover in path.parent.glob(f".{glob.escape(path.stem)}-????????{glob.escape(path.suffix)}"):
+        leftover.unlink()
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -108,12 +134,17 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
     )
     # Compressing takes longer than rendering; the library's default is one thread.
     OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
+    own = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, CHECKSUM: _checksum(image)}
+    header = {**own, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)
     # The library does not notice a full disk.
     with OpenEXR.File(path) as file:
         file.channels()
+
+
+def _checksum(image: np.ndarray) -> str:
+    return f"{zlib.crc32(np.ascontiguousarray(image).data):08x}"
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:
@@ -148,6 +179,16 @@ def _srgb_colors(image: np.ndarray) -> np.ndarray:
     return np.concatenate([srgb(image[..., :alpha]), image[..., alpha:]], axis=-1)
 
 
+def _sync_folder(folder: Path) -> None:
+    """Make sure that a new name survives a power cut, where the system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
 @contextlib.contextmanager
 def _whole(path: Path, keep: bool = True) -> Iterator[str]:
     """A temporary file beside `path`, with its suffix, that becomes `path` if all goes well."""
@@ -163,6 +204,7 @@ def _whole(path: Path, keep: bool = True) -> Iterator[str]:
             os.umask(mask)
             os.chmod(temporary, 0o666 & ~mask)
             os.replace(temporary, path)
+            _sync_folder(path.parent)
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)

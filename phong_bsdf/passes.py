@@ -1,6 +1,6 @@
-"""Renderings of one study on disk: a pass is one EXR file that holds its own record, written whole or not at all.
+"""Renderings on disk: a pass is one EXR file that holds its own record, written whole or not at all.
 
-Nothing is ever changed or deleted, so a run that ends at any moment, however it ends, leaves what it has
+Nothing finished is ever changed or deleted, so a run that ends at any moment, however it ends, leaves what it has
 finished, and the next run goes on from there.
 """
 
@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +18,9 @@ import numpy as np
 
 from . import images
 
-# What a folder holds: a run of methods, or one of the lobes' formulas.
-RUN, LOBES = "run.json", "lobes.json"
+# What a folder holds: a study of methods, one of the lobes' formulas, or one picture in passes.
+RUN, LOBES, PICTURE = "run.json", "lobes.json", "picture.json"
+HELD = {RUN: "measurements of a scene", LOBES: "measurements of the lobes' formulas", PICTURE: "a picture in passes"}
 RECORD = "pass"
 FAILURE = "failure.txt"
 
@@ -61,33 +62,36 @@ class Store:
             yield self
 
     def claim(self, kind: str) -> None:
-        """ValueError where the folder holds what is not of this kind, `RUN` or `LOBES`."""
-        other = LOBES if kind == RUN else RUN
-        if (self.folder / other).exists():
-            held = "the lobes' formulas" if other == LOBES else "a scene"
-            raise ValueError(f"'{self.folder}' holds measurements of {held} already; choose another folder")
+        """ValueError where the folder holds what is not of this kind: `RUN`, `LOBES` or `PICTURE`."""
+        for other, held in HELD.items():
+            if other != kind and (self.folder / other).exists():
+                raise ValueError(f"'{self.folder}' holds {held} already; choose another folder")
 
     def has(self, key: str, spp: int, repeat: int) -> bool:
         """Whether the pass has been made."""
-        return self._path(key, spp, repeat).is_file()
+        return self.path(key, spp, repeat).is_file()
 
-    def add(self, key: str, made: Pass, image: np.ndarray) -> None:
-        """Write a pass; OSError where the disk is full."""
-        path = self._path(key, made.spp, made.repeat)
+    def add(self, key: str, made: Pass, image: np.ndarray, metadata: Mapping[str, str] | None = None) -> None:
+        """Write a pass, with `metadata` beside its record; OSError where the disk is full."""
+        path = self.path(key, made.spp, made.repeat)
         path.parent.mkdir(exist_ok=True)
-        images.write(path, image, metadata={RECORD: json.dumps(dataclasses.asdict(made))})
+        images.write(path, image, metadata={**(metadata or {}), RECORD: json.dumps(dataclasses.asdict(made))})
 
     def list(self, key: str) -> list[Pass]:
         """The records of all passes of a key, by samples, then repeats."""
-        return [self._read(path) for path in sorted((self.passes / key).glob("*-spp-repeat-*.exr"))]
+        found = (self._read(path) for path in (self.passes / key).glob("*-spp-repeat-*.exr"))
+        return sorted(found, key=lambda made: (made.spp, made.repeat))
+
+    def files(self) -> "list[Path]":
+        """The files of all passes."""
+        return sorted(self.passes.glob("*/*-spp-repeat-*.exr"))
 
     def image(self, key: str, made: Pass) -> np.ndarray:
         """The picture of a pass, float32."""
-        path = self._path(key, made.spp, made.repeat)
         try:
-            return images.read_exr(path)
-        except (RuntimeError, ValueError):
-            raise ValueError(f"'{path}' is broken; delete it, and the next run makes it again") from None
+            return images.read_checked(self.path(key, made.spp, made.repeat))
+        except ValueError as error:
+            raise ValueError(f"{error}; delete it, and the next run makes it again") from None
 
     def failure(self, key: str) -> str | None:
         """Why the method's last run failed; None if it did not."""
@@ -111,7 +115,8 @@ class Store:
             raise ValueError(f"'{path}' is no pass that this version wrote; delete it, and the next run makes "
                              "it again") from None  # fmt: skip
 
-    def _path(self, key: str, spp: int, repeat: int) -> Path:
+    def path(self, key: str, spp: int, repeat: int) -> Path:
+        """Where a pass is, or will be."""
         return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"
 
 
@@ -139,5 +144,8 @@ def _lock(file, folder: Path) -> None:
         return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         raise ValueError(f"'{folder}': another run is writing there; wait for it, or choose another folder") from None
+    except OSError:
+        # Some file systems of clusters have no such locks either.
+        return

@@ -5,7 +5,6 @@ names the file and the line where Mitsuba knows them.
 """
 
 import contextlib
-import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -17,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from . import camera as cameras
 from . import needs
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
@@ -80,7 +80,7 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder" if path.is_dir() else f"{path}: there is no such file")
     try:
-        with _files_beside(path):
+        with files_beside(path):
             config = mi.parser.ParserConfig(str(mi.variant()))
             config.merge_equivalent = config.merge_meshes = merge
             state = mi.parser.parse_file(config, str(path), **(defines or {}))
@@ -90,10 +90,20 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
     return state
 
 
+def merged(state: "mi.parser.ParserState") -> "mi.parser.ParserState":
+    """A copy of a parsed scene in which equal nodes are one, as Mitsuba makes them when it loads a file: faster to
+    render."""
+    state = mi.parser.ParserState(state)
+    config = mi.parser.ParserConfig(str(mi.variant()))
+    mi.parser.transform_merge_equivalent(config, state)
+    mi.parser.transform_merge_meshes(config, state)
+    return state
+
+
 def make(path: Path, state: "mi.parser.ParserState") -> Any:
     """The object that the root of a parsed scene, perhaps changed since, describes."""
     try:
-        with _files_beside(path):
+        with files_beside(path):
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
             return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
     except RuntimeError as error:
@@ -125,6 +135,16 @@ def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
     params.update()
 
 
+def count_lights(loaded: LoadedScene) -> int:
+    """Lights of the scene; in a `whitted` scene a background lights nothing."""
+    return sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in loaded.scene.emitters())
+
+
+def pass_seed(seed: int, done: int) -> int:
+    """Seed of a pass before which `done` samples were taken: passes of nearby seeds have none in common."""
+    return (seed + done * cameras.STRIDE) % 2**32
+
+
 def render(
     loaded: LoadedScene,
     *,
@@ -146,7 +166,6 @@ def render(
     try:
         if scene.integrator().aov_names():
             raise ValueError("the integrator adds channels (AOVs), which this command cannot write")
-        lights = sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in scene.emitters())
         with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()
             for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
@@ -154,8 +173,10 @@ def render(
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
         raise SceneError(explain(error, loaded.path)) from None
-    rest = max(seconds - compiling.seconds, 0.0)
-    return Rendering(image, str(mi.variant()), spp, seed, lights, compiling.seconds, rest, compiling.happened)
+    seconds = max(seconds - compiling.seconds, 0.0)
+    return Rendering(
+        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
+    )
 
 
 def explain(error: BaseException, path: Path) -> str:
@@ -191,7 +212,7 @@ def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
 
 
 @contextlib.contextmanager
-def _files_beside(path: Path):
+def files_beside(path: Path):
     """Inside, Mitsuba finds files that the scene names relative to its own folder."""
     before = mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     resolver = mi.FileResolver(before)
@@ -211,15 +232,16 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
 
     if width * height * spp <= SAMPLES_PER_PASS:
         yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif loaded.integrator == WHITTED and box and math.isqrt(spp) ** 2 == spp:
+    elif loaded.integrator == WHITTED and box and cameras.grid(spp):
         rows = max(SAMPLES_PER_PASS // (width * spp), 1)
         yield from _bands(loaded.scene, sensor, spp, seed, rows)
     elif sensor.sampler().class_name() == "IndependentSampler":
-        per_pass = max(SAMPLES_PER_PASS // (width * height), 1)
+        # A power of two: only those are the same picture, bit by bit, each time.
+        per_pass = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
         total, done = 0.0, 0
         while done < spp:
             n = min(per_pass, spp - done)
-            total = total + n * _render(loaded.scene, sensor, n, seed + done).astype(np.float64)
+            total = total + n * _render(loaded.scene, sensor, n, pass_seed(seed, done)).astype(np.float64)
             done += n
             yield (total / done).astype(np.float32), done / spp
     else:

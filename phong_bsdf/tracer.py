@@ -12,7 +12,7 @@ import mitsuba as mi
 from .dispatch import Dispatch
 from .lights import Dark, Lights
 from .materials import Table, is_isotropic
-from .needs import DeltaLobes, check_lights, delta_lobes, prepared, wake
+from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
 from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -50,10 +50,11 @@ class Tracer:
         shadows,
         ambient,
         hide_emitters,
-        gradients=False,
+        mode=None,
         keep=frozenset(),
     ):
-        self.scene = scene
+        self.scene, self.forward = scene, mode == dr.ADMode.Forward
+        gradients = mode in (dr.ADMode.Forward, dr.ADMode.Backward)
         if gradients:
             wake(scene)
             # A tree of rays has no backward derivative; only a scene that needs one is to fail.
@@ -87,6 +88,11 @@ class Tracer:
         else:
             self.deltas = delta_lobes(scene, keep)
         self.materials = self.table or Dispatch(self.deltas)
+        if gradients and self.deltas.branches > 1:
+            raise UnsupportedScene(
+                "whitted: no derivatives where a surface both reflects and refracts (dielectric, plastic, a mask over "
+                "a mirror); use mirrorblend or conductor, or the integrator 'path'"
+            )
         # Scalar variants ask each BSDF when they meet it.
         self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
         self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited
@@ -119,7 +125,7 @@ class Tracer:
             return radiance, seen
         if self.deltas.branches > 1:
             return self._trace_tree(ray, active)
-        return self._trace_path(ray, active)
+        return self._trace_forward(ray, active) if self.forward else self._trace_path(ray, active)
 
     # Three ways to walk: one ray in scalar variants, paths, trees ---------------------------------
 
@@ -139,20 +145,29 @@ class Tracer:
     @dr.syntax
     def _trace_path(self, ray, active):
         o, d, beta, depth, alive, radiance, valid = self._start(ray, active)
-        maxt, time, wavelengths = ray.maxt, ray.time, ray.wavelengths
-
-        while dr.hint(
-            alive != 0, max_iterations=self.most_rays, exclude=[maxt, time, wavelengths, ray, active], label="mirrors"
-        ):
-            here = mi.Ray3f(o, d, dr.select(depth == 0, maxt, dr.inf), time, wavelengths)
-            light, seen, branches = self._step(here, beta, depth, alive != 0)
-            radiance += light
-            valid = dr.select((depth == 0) & seen, mi.UInt32(1), valid)
-            o, d, beta, goes_on = self._only(branches)
-            alive = dr.select(goes_on, mi.UInt32(1), mi.UInt32(0))
-            depth += 1
-
+        while dr.hint(alive != 0, max_iterations=self.most_rays, exclude=[ray, active], label="mirrors"):
+            o, d, beta, depth, alive, radiance, valid = self._bounce(ray, o, d, beta, depth, alive, radiance, valid)
         return radiance, valid != 0
+
+    def _trace_forward(self, ray, active):
+        """As `_trace_path`, for forward derivatives: Dr.Jit 1.5 fails at some loops whose body calls BSDFs that call
+        others, so the bounces stand in the kernel one by one."""
+        *state, alive, radiance, valid = self._start(ray, active)
+        for _ in range(self.most_rays):
+            *state, alive, radiance, valid = self._bounce(ray, *state, alive, radiance, valid)
+            if self.unlimited:
+                dr.eval(state, alive, radiance, valid)
+                if not dr.any(alive != 0):
+                    break
+        return radiance, valid != 0
+
+    def _bounce(self, ray, o, d, beta, depth, alive, radiance, valid):
+        """The next state of a path: that of `_start`."""
+        here = mi.Ray3f(o, d, dr.select(depth == 0, ray.maxt, dr.inf), ray.time, ray.wavelengths)
+        light, seen, branches = self._step(here, beta, depth, alive != 0)
+        valid = dr.select((depth == 0) & seen, mi.UInt32(1), valid)
+        o, d, beta, goes_on = self._only(branches)
+        return o, d, beta, depth + 1, dr.select(goes_on, mi.UInt32(1), mi.UInt32(0)), radiance + light, valid
 
     @dr.syntax
     def _trace_tree(self, ray, active):

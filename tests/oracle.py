@@ -1,7 +1,8 @@
 """The lecture's ray tracer in float64 NumPy: slow, plain, and written from the formulas alone.
 
-No Mitsuba, no Dr.Jit, nothing of the package. Spheres, point and directional lights without
-falloff, shadows, mirrors; one ray through each pixel's centre.
+No Mitsuba, no Dr.Jit, nothing of the package. Spheres, point and directional lights, shadows,
+mirrors; one ray through each pixel's centre. `physical` is Mitsuba's convention: falloff, 1/pi,
+and behind the last mirror nothing but the background.
 """
 
 from dataclasses import dataclass, field
@@ -50,6 +51,7 @@ class Scene:
     ambient: float = 0.0
     lobe: str = "blinnphong"
     bounces: int = 8
+    physical: bool = False
 
 
 def normalize(v):
@@ -94,13 +96,15 @@ def radiance(scene, o, d, bounces, start):
     if len(o) == 0:
         return image
     t, index = intersect(scene, o, d, start)
+    if bounces < 0:
+        return np.where((index >= 0)[:, None], 0, image)
     for i, sphere in enumerate(scene.spheres):
         hit = index == i
         p = o[hit] + t[hit, None] * d[hit]
         n = (p - np.array(sphere.center)) / sphere.radius
         v = -d[hit]
         color = local(scene, sphere, p, n, v)
-        if sphere.km > 0 and bounces > 0:
+        if sphere.km > 0 and (bounces > 0 or scene.physical):
             r = 2 * dot(n, v)[:, None] * n - v
             mirrored = radiance(scene, p + 1e-9 * sphere.radius * n, r, bounces - 1, 0.0)
             color = sphere.km * mirrored + (1 - sphere.km) * color
@@ -122,7 +126,8 @@ def local(scene, sphere, p, n, v):
             distance = np.full(len(p), np.inf)
         t, _ = intersect(scene, p + 1e-9 * sphere.radius * n, l, 0.0)
         lit = front & (dot(n, l) > 0) & (t >= distance)
-        color += np.where(lit, light.intensity, 0)[:, None] * unit_point(sphere, n, l, v, scene.lobe)
+        falloff = np.pi * np.where(np.isfinite(distance), distance**2, 1) if scene.physical else 1
+        color += np.where(lit, light.intensity / falloff, 0)[:, None] * unit_point(sphere, n, l, v, scene.lobe)
     return color
 
 

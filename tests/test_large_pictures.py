@@ -58,6 +58,18 @@ def test_bands_are_one_kernel(monkeypatch):
     assert np.mean(np.abs(images[-1] - whole).max(axis=2) > 1e-5) < 0.002
 
 
+def test_passes_of_random_samples(monkeypatch):
+    """Large pictures of other integrators: powers of two of samples, so that each run has the same bits; seeds of which
+    no neighbour's picture has one."""
+    monkeypatch.setattr(rendering, "SAMPLES_PER_PASS", 60 * 40 * 7)
+    loaded = rendering.load(SCENES / "compare/balls.xml", {"width": "60", "height": "40"})
+    render, made = rendering._render, []
+    monkeypatch.setattr(rendering, "_render", lambda *args: made.append(args[2:]) or render(*args))
+    for seed in (0, 1, 2):
+        rendering.render(loaded, spp=16, seed=seed)
+    assert [spp for spp, _ in made] == [4] * 12 and len({seed for _, seed in made}) == 12
+
+
 def test_passes_draw_other_numbers(monkeypatch):
     """Random samples of two passes are different: a picture of few passes is as noisy as that of one."""
     sky, sensor = lecture_scene("box", 8)

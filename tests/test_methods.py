@@ -71,7 +71,7 @@ def test_lobes_that_cannot_be_matched_can_still_be_sampled(scene):
 
 
 def loaded(scene, method):
-    return rendering.load_parsed(scene.path, methods.loadable(methods.applied(scene, method))).scene
+    return rendering.load_parsed(scene.path, rendering.merged(methods.applied(scene, method))).scene
 
 
 @pytest.mark.parametrize("sampler", (SAMPLER, ""))

@@ -1,6 +1,7 @@
 """Passes on disk: whole or not there, one writer at a time, readable years later."""
 
 import dataclasses
+import errno
 
 import numpy as np
 import pytest
@@ -61,6 +62,19 @@ def test_one_writer(store):
     """A second run into the same folder is refused; after the first it is not."""
     with pytest.raises(ValueError, match="another run is writing there"), Store(store.folder).opened():
         pass
+
+
+def test_file_systems_without_locks(tmp_path, monkeypatch):
+    """Work all the same; some of clusters are mounted so."""
+    fcntl = pytest.importorskip("fcntl", reason="no such locks on this system")
+
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with Store(tmp_path).opened() as store:
+        store.add("m", MADE, IMAGE)
+    assert store.has("m", 16, 3)
 
 
 def test_reasons_of_failures(store):

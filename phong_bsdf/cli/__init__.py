@@ -10,6 +10,8 @@ from .convert import convert
 from .demo import demo
 from .doctor import doctor
 from .explain import explain
+from .explore import explore
+from .merge import merge
 from .render import render
 from .stability import stability
 
@@ -20,5 +22,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, check, convert, compare, converge, explain, stability, demo, doctor):
+for command in (render, merge, check, convert, compare, converge, explain, explore, stability, demo, doctor):
     main.add_command(command)

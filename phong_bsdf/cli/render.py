@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from .. import __version__
 from .options import scene_options
 from .session import errors, progress, start
 
@@ -15,34 +14,73 @@ from .session import errors, progress, start
               help="File to write, .exr (linear) or .png (8 bit). May be given several times.")  # fmt: skip
 @scene_options
 @click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
-def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, verbose):
+@click.option("--passes", "folder", type=click.Path(path_type=Path),
+              help="Render in passes, each kept in this folder: a run that ends early has lost nothing.")  # fmt: skip
+@click.option("--pass-spp", type=click.IntRange(min=1),
+              help="Samples per pixel of a pass, rounded to a power of two. Default: some seconds' work.")  # fmt: skip
+@click.option("--target-error", type=click.FloatRange(min=0, min_open=True), metavar="PERCENT",
+              help="End after the pass at which the picture's relative standard error is below this.")  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with the passes that the folder holds; with more --spp, add some.")
+def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
+           resume, verbose):  # fmt: skip
     """Render a Mitsuba XML SCENE."""
     with errors():
         from .. import images
 
+        for option, value in {"--pass-spp": pass_spp, "--target-error": target_error, "--resume": resume}.items():
+            if value and folder is None:
+                raise ValueError(f"{option} is for a picture in passes; say where to keep them: --passes DIR")
         for path in outputs:
             images.check_writable(path)
+        if folder is not None:
+            images.check_folder(folder)
         start(variant, threads, verbose)
-        from .. import rendering
+        from ..progressive import planning
 
         with progress() as show:
             show("loading", 0)
-            loaded = rendering.load(scene, dict(defines))
-            if size:
-                rendering.resize(loaded, camera, *size)
-            show("rendering", 0)
-            result = rendering.render(
-                loaded, camera=camera, spp=spp or 0, seed=seed, on_progress=lambda share: show("rendering", share)
-            )
-        metadata = {
-            "phong_bsdf": __version__, "scene": scene.name, "variant": result.variant,
-            "spp": str(result.spp), "seed": str(seed),
-        }  # fmt: skip
-        for path in outputs:
-            images.write(path, result.image, linear=linear, metadata=metadata)
-    height, width = result.image.shape[:2]
-    click.echo(
-        f"{', '.join(map(str, outputs))}: {width} x {height}, {result.spp} spp, "
-        f"{result.lights} light{'' if result.lights == 1 else 's'}, {result.variant}; loading {loaded.seconds:.2f} s, "
-        f"compiling {result.seconds_compiling:.2f} s, rendering {result.seconds_rendering:.2f} s"
-    )
+            loaded, subject = planning.load(scene, dict(defines), camera=camera, size=size)
+            picture = Picture(outputs, linear, loaded, subject)
+            if folder is None:
+                said = picture.at_once(spp or 0, seed, show)
+            else:
+                from .passes import in_passes
+
+                said = in_passes(picture, folder, spp=spp, seed=seed, pass_spp=pass_spp, target=target_error,
+                                 resume=resume, show=show)  # fmt: skip
+    click.echo(said)
+
+
+class Picture:
+    """The files that a command writes, and the scene that they show."""
+
+    def __init__(self, outputs, linear, loaded, subject):
+        self.outputs, self.linear, self.loaded, self.subject = outputs, linear, loaded, subject
+
+    def at_once(self, spp: int, seed: int, show) -> str:
+        """Render and write it; a line to say about it."""
+        from .. import rendering
+        from ..progressive import planning
+
+        show("rendering", 0)
+        samples = planning.samples_of(self.loaded, self.subject, spp, seed)
+        result = rendering.render(self.loaded, camera=self.subject.camera, spp=spp, seed=seed,
+                                  on_progress=lambda share: show("rendering", share))  # fmt: skip
+        self.write(result.image, [samples])
+        return (
+            f"{self.summary(samples.spp, result.lights)}; loading {self.loaded.seconds:.2f} s, "
+            f"compiling {result.seconds_compiling:.2f} s, rendering {result.seconds_rendering:.2f} s"
+        )
+
+    def write(self, image, samples) -> None:
+        """Write the files."""
+        from .. import images, parts
+
+        for path in self.outputs:
+            images.write(path, image, linear=self.linear, metadata=parts.metadata(self.subject, samples))
+
+    def summary(self, spp: int, lights: int) -> str:
+        """Files, size, samples, lights, variant."""
+        width, height = self.subject.size
+        return (f"{', '.join(map(str, self.outputs))}: {width} x {height}, {spp} spp, "
+                f"{lights} light{'' if lights == 1 else 's'}, {self.subject.variant}")  # fmt: skip

@@ -14,8 +14,8 @@ import numpy as np
 
 from .. import estimates, images, passes, stability
 from ..estimates import Estimate
+from ..fingerprint import versions
 from ..passes import Store
-from .planning import versions
 from .study import Spread
 
 EXPONENTS = (1.0, 1e2, 1e4, 1e6, 1e8)

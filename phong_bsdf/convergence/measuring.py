@@ -17,7 +17,6 @@ import mitsuba as mi
 
 from .. import metrics, passes, rendering
 from ..passes import Pass, Store
-from . import methods
 from .planning import MethodRun, Plan, ReferenceRun
 
 # Fewer give a reference no error bar worth the name, however short of time.
@@ -95,7 +94,7 @@ class _Session:
             return
         least = LEAST_REFERENCE_PASSES if repeat is None else 0
         gc.collect()
-        loaded = rendering.load_parsed(self.plan.path, methods.loadable(self.plan.states[key]))
+        loaded = rendering.load_parsed(self.plan.path, rendering.merged(self.plan.states[key]))
         if self.plan.size:
             rendering.resize(loaded, self.plan.run.camera, *self.plan.size)
         for i, (spp, number) in enumerate(todo):

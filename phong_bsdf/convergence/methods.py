@@ -195,15 +195,6 @@ def applied(scene: Scene, method: Method):
     return state
 
 
-def loadable(state):
-    """A copy in which equal nodes are one, as Mitsuba makes them when it loads a file: faster to render."""
-    state = mi.parser.ParserState(state)
-    config = mi.parser.ParserConfig(str(mi.variant()))
-    mi.parser.transform_merge_equivalent(config, state)
-    mi.parser.transform_merge_meshes(config, state)
-    return state
-
-
 def _integrator(path: Path, state):
     node = next((node for node in state.nodes if node.type == mi.ObjectType.Integrator), None)
     if node is None:

@@ -2,17 +2,15 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from .. import __version__, images, passes, rendering
+from .. import fingerprint, images, passes, rendering
 from ..passes import Store
 from . import methods
 
@@ -77,7 +75,7 @@ class Plan:
     """What will be rendered: checked, but not loaded."""
 
     path: Path
-    states: Mapping[str, object]
+    states: Mapping[str, "mi.parser.ParserState"]
     """Key -> parsed scene."""
     size: tuple[int, int] | None
     run: Run
@@ -106,7 +104,8 @@ def plan(
     chosen = methods.chosen(scene, given)
     limits = {method.name: methods.limit(scene, method) for method in chosen}
     real = {method.name: _rounded(scene, method, method.levels or levels) for method in chosen}
-    context = [scene_hash := _scene_hash(scene), camera, size, mi.variant(), seed, versions()]
+    versions, scene_hash = fingerprint.versions(), fingerprint.scene_hash(scene.path, scene.state)
+    context = [scene_hash, camera, film, mi.variant(), seed, versions]
     machine = passes.machine(dr.thread_count())
     states = {}
 
@@ -121,20 +120,15 @@ def plan(
     )
     if reference is not None:
         file = Path(reference).resolve()
-        references = [ReferenceRun(Path(reference).name, _file_hash(file)[:12], "file", (), str(file))]
+        references = [ReferenceRun(Path(reference).name, fingerprint.file_hash(file)[:12], "file", (), str(file))]
     else:
         references = [
             _reference(scene, limit, [(m, max(real[m.name])) for m in chosen if limits[m.name] == limit], key)
             for limit in {limit.name: limit for limit in limits.values()}.values()
         ]
     run = Run(Path(path).name, scene_hash, scene.integrator, str(mi.variant()), camera, tuple(levels), repeats, seed,
-              runs, tuple(references), versions(), machine)  # fmt: skip
+              runs, tuple(references), versions, machine)  # fmt: skip
     return Plan(Path(path), states, size, run)
-
-
-def versions() -> str:
-    """All that a picture depends on besides its scene."""
-    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {metadata.version('drjit')}"
 
 
 def reference_grid(spp: int) -> int:
@@ -166,27 +160,6 @@ def _rounded(scene: methods.Scene, method: methods.Method, levels: Sequence[int]
         return tuple(dict.fromkeys(real))
     finally:
         mi.set_log_level(before)
-
-
-def _scene_hash(scene: methods.Scene) -> str:
-    """Of all that the scene says, its defines put in, and of every file that it names."""
-    files = {}
-    for node in scene.state.nodes:
-        for name in node.props.keys():  # noqa: SIM118
-            value = node.props[name] if node.props.type(name) == mi.Properties.Type.String else ""
-            # `os.path`: names too long for a file raise in `Path.is_file`.
-            if value and os.path.isfile(file := scene.path.parent / value):
-                files[value] = _file_hash(file)
-    text = mi.parser.write_string(scene.state)
-    return passes.digest([text, files])
-
-
-def _file_hash(path: Path) -> str:
-    """All 64 digits."""
-    try:
-        return passes.digest(Path(path).read_bytes().hex(), 64)
-    except OSError as error:
-        raise ValueError(f"'{path}' cannot be read: {error.strerror}") from None
 
 
 def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) -> tuple[int, int]:

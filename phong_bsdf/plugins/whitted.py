@@ -3,7 +3,8 @@
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf.camera import CameraSamples
+from phong_bsdf.camera import WHOLE, CameraSamples
+from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, splat, store
 from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
 from phong_bsdf.tracer import Memory, Tracer
@@ -15,6 +16,10 @@ if IS_JIT:
     from mitsuba.python.ad.integrators.common import ADIntegrator as Base
 else:
     Base = mi.SamplingIntegrator
+
+
+# Of several passes each needs the derivatives of the parameters; a picture may not depend on them.
+FORWARD = dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
 
 
 class Whitted(Base):
@@ -80,10 +85,18 @@ class Whitted(Base):
         # Features that stay in the kernel though a scene does not need them: measurements set this.
         self.keep = frozenset() if specialize else frozenset(FEATURES)
         self.memory = Memory()
+        # The part of the grid of samples that is rendered: a rendering in passes sets this.
+        self.part = WHOLE
         # Hears the share done after each of several passes.
         self.on_progress = lambda share: None
         self.ambient = Parameter(props, "ambient", 0)
         super().__init__(props)
+
+    def traverse(self, cb):
+        cb.put("ambient", self.ambient.texture, mi.ParamFlags.Differentiable)
+
+    def parameters_changed(self, keys):
+        self.ambient.changed_by(keys)
 
     def sample(self, scene, sampler, ray, medium=None, active=True, mode=None, **_):
         """Radiance along `ray`, in the form that Mitsuba expects of an integrator of this variant."""
@@ -92,7 +105,7 @@ class Whitted(Base):
 
     def prepare(self, sensor, seed=0, spp=0, aovs=()):
         """Prepares the film; returns the camera's samples and the number of them per pixel."""
-        samples = CameraSamples(sensor, seed, spp)
+        samples = CameraSamples(sensor, seed, spp, self.part)
         sensor.film().prepare(list(aovs))
         return samples, samples.spp
 
@@ -113,7 +126,7 @@ class Whitted(Base):
             shadows=self.shadows,
             ambient=None if self.ambient.left_out and "ambient" not in self.keep else self.ambient,
             hide_emitters=self.hide_emitters,
-            gradients=mode in (dr.ADMode.Forward, dr.ADMode.Backward),
+            mode=mode,
             keep=self.keep,
         )
 
@@ -123,7 +136,7 @@ class Whitted(Base):
         return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
 
     def _needs_block(self, film, spp) -> bool:
-        return spp > 1 or "film block" in self.keep or not _is_plain(film)
+        return spp > 1 or "film block" in self.keep or not is_plain(film)
 
     if IS_JIT:
 
@@ -145,7 +158,7 @@ class Whitted(Base):
                 channels = [*mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)]
                 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
                     channels.append(dr.select(valid, mi.Float(1), mi.Float(0)))
-                return _store(film, channels)
+                return store(film, channels)
 
         def _render_passes(self, samples, tracer, film):
             block = film.create_block()
@@ -164,6 +177,54 @@ class Whitted(Base):
             film.put_block(block)
             return film.develop()
 
+        def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
+            """The derivative of the picture, of its shape, in the direction of the gradients that `params` hold."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            film = sensor.film()
+            if not is_plain(film):
+                return super().render_forward(scene, params, sensor, seed, spp)
+            with dr.suspend_grad():
+                samples, spp = self.prepare(sensor, seed, spp)
+                channels = [[] for _ in range(channel_count(film))]
+                for first, pixels in samples.passes():
+                    with dr.resume_grad():
+                        color = _color(self.tracer(scene, dr.ADMode.Forward), samples, first, pixels)
+                        derivative = dr.forward_to(color, flags=FORWARD)
+                    for channel, found in zip(derivative, channels, strict=False):
+                        found.append(dr.block_sum(channel, spp) / spp)
+                    for found in channels[3:]:
+                        found.append(dr.zeros(mi.Float, pixels))
+                    dr.eval(channels)
+                width, height = film.crop_size()
+                channels = [found[0] if len(found) == 1 else dr.concat(found) for found in channels]
+                image = dr.ravel((mi.Vector4f if len(channels) == 4 else mi.Vector3f)(*channels))
+                return mi.TensorXf(image, (int(height), int(width), len(channels)))
+
+        def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
+            """Adds to the gradients of `params` what `grad_in`, those of the picture, make of them.
+
+            Pixels of the box filter are means of their samples: no film, hence no picture, is needed for it.
+            """
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            film = sensor.film()
+            if not is_plain(film):
+                super().render_backward(scene, params, grad_in, sensor, seed, spp)
+                return
+            with dr.suspend_grad():
+                samples, spp = self.prepare(sensor, seed, spp)
+                for first, pixels in samples.passes():
+                    gradient = gradient_of_samples(grad_in.array, channel_count(film), first, pixels, spp)
+                    with dr.resume_grad():
+                        tracer = self.tracer(scene, dr.ADMode.Backward)
+                        # Loops are traced once less then, but a loop over lights in them cannot do without.
+                        with dr.scoped_set_flag(dr.JitFlag.OptimizeLoops, not tracer.lights.few):
+                            color = _color(tracer, samples, first, pixels)
+                            dr.set_grad(color, gradient)
+                            dr.enqueue(dr.ADMode.Backward, color)
+                            dr.traverse(dr.ADMode.Backward)
+                    # Mitsuba must not free the scene before this has run.
+                    dr.eval()
+
     else:
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
@@ -176,41 +237,16 @@ class Whitted(Base):
             for index in range(samples.count):
                 ray, weight, position = samples.rays(index)
                 radiance, valid = tracer.trace(ray, True)
-                _splat(block, film, position, radiance * weight, ray.wavelengths, valid)
+                splat(block, film, position, radiance * weight, ray.wavelengths, valid)
             film.put_block(block)
             return film.develop() if develop else mi.TensorXf()
 
 
-def _is_plain(film) -> bool:
-    """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
-    special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
-    return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
-
-
-def _store(film, channels):
-    """The picture of one value for each pixel and channel. The film gets it, too, but in a form that costs nothing
-    until somebody develops the film."""
-    width, height = (int(side) for side in film.crop_size())
-    n = len(channels)
-    channels[0] = channels[0] + dr.zeros(mi.Float, width * height)
-    image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
-    index = dr.arange(mi.UInt32, width * height * (n + 1))
-    pixel = index // (n + 1)
-    channel = index - pixel * (n + 1)
-    weighted = dr.select(channel < n, dr.gather(mi.Float, image, pixel * n + channel, channel < n), 1)
-    film.put_block(mi.ImageBlock(mi.TensorXf(weighted, (height, width, n + 1)), mi.ScalarPoint2i(film.crop_offset())))
-    return mi.TensorXf(image, (height, width, n))
-
-
-def _splat(block, film, position, value, wavelengths, valid):
-    value = mi.unpolarized_spectrum(value)
-    alpha = float(valid)
-    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=1, alpha=alpha))
-        return
-    rgb = mi.spectrum_to_srgb(value, wavelengths) if mi.is_spectral else mi.Color3f(value)
-    channels = [*rgb, alpha] if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else [*rgb]
-    block.put(position, [*channels, 1.0])
+def _color(tracer, samples, first, pixels):
+    """Of each sample of `pixels` pixels from number `first` on."""
+    ray, weight, _ = samples.pixel_rays(first, pixels)
+    radiance, _ = tracer.trace(ray, True)
+    return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)
 
 
 mi.register_integrator("whitted", Whitted)

@@ -178,6 +178,18 @@ MEMORY_TABLES = (
     Table("A frame of 64 x 64", ("task",), (Column("ms", {"quantity": "time"}, MS),)),
 )
 
+GRADIENT_TABLES = (
+    Table(
+        "Milliseconds",
+        ("task", "x"),
+        (
+            Column("ms", {"quantity": "time"}, MS),
+            Column("/ picture", {"quantity": "time / picture"}),
+            Column("/ step", {"quantity": "time / step"}),
+        ),
+    ),
+)
+
 LOBE_TABLES = (
     Table(
         "Milliseconds of a picture with the stable and with the naive formulas",
@@ -198,6 +210,7 @@ TABLES = {
     "cold": COLD_TABLES,
     "memory": MEMORY_TABLES,
     "lobes": LOBE_TABLES,
+    "gradients": GRADIENT_TABLES,
 }
 
 

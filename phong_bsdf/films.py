@@ -1,0 +1,48 @@
+"""Pictures and films: which are no more than their pixels, and how samples become them."""
+
+import drjit as dr
+import mitsuba as mi
+
+
+def is_plain(film) -> bool:
+    """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
+    special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
+    return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
+
+
+def channel_count(film) -> int:
+    """Of a plain film."""
+    return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
+
+
+def gradient_of_samples(gradient, channels, first, pixels, spp):
+    """The gradient of each sample of `pixels` pixels from number `first` on, given those of the picture's values."""
+    pixel = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, pixels * spp) // spp
+    return mi.Color3f(*(dr.gather(mi.Float, gradient, channels * pixel + i) for i in range(3))) / spp
+
+
+def store(film, channels):
+    """The picture of one value for each pixel and channel. The film gets it, too, but in a form that costs nothing
+    until somebody develops the film."""
+    width, height = (int(side) for side in film.crop_size())
+    n = len(channels)
+    channels[0] = channels[0] + dr.zeros(mi.Float, width * height)
+    image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
+    index = dr.arange(mi.UInt32, width * height * (n + 1))
+    pixel = index // (n + 1)
+    channel = index - pixel * (n + 1)
+    weighted = dr.select(channel < n, dr.gather(mi.Float, image, pixel * n + channel, channel < n), 1)
+    film.put_block(mi.ImageBlock(mi.TensorXf(weighted, (height, width, n + 1)), mi.ScalarPoint2i(film.crop_offset())))
+    return mi.TensorXf(image, (height, width, n))
+
+
+def splat(block, film, position, value, wavelengths, valid):
+    """Adds one sample of a scalar variant to `block`."""
+    value = mi.unpolarized_spectrum(value)
+    alpha = float(valid)
+    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
+        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=1, alpha=alpha))
+        return
+    rgb = mi.spectrum_to_srgb(value, wavelengths) if mi.is_spectral else mi.Color3f(value)
+    channels = [*rgb, alpha] if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else [*rgb]
+    block.put(position, [*channels, 1.0])

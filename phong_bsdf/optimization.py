@@ -1,0 +1,80 @@
+"""Parameters of a scene as an optimiser should see them: exponents by their logarithm, all within their legal range.
+
+    opt = mi.ad.Adam(lr=0.05)
+    unknown = Unknown(opt, mi.traverse(scene), ["ball.bsdf.kd.value", "ball.bsdf.p.value"])
+    for _ in range(200):
+        params = unknown.apply(scene)
+        dr.backward(loss(mi.render(scene, params)))
+        opt.step()
+
+An exponent spans decades: a step from 10 to 20 changes a picture as much as one from 1000 to 2000. By its logarithm
+one learning rate serves all exponents, and the reflectances beside them.
+"""
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+# Legal ranges by what `mi.traverse` calls a parameter, without `.value` or `.data`. Of an exponent, those beyond which
+# a picture of the usual size shows no difference: a lobe of the whole hemisphere, and one of less than a pixel.
+EXPONENTS = {"p": (1e-2, 1e7), "exponent": (1e-2, 1e7)}
+FRACTIONS = ("km", "diffuse_reflectance", "specular_reflectance")
+POSITIVE = ("kd", "ks", "intensity", "irradiance", "radiance", "ambient")
+
+
+class Unknown:
+    """The parameters `keys` of a scene, held by the optimiser `opt` in the form in which they are optimised.
+
+    `opt`: one of Mitsuba's (`mi.ad.Adam`, `mi.ad.SGD`); it gets an entry for each key, which starts at the value in
+    `params`. Exponents (`p`, `exponent`) are held as their natural logarithm. Raises KeyError for keys that the
+    scene does not have.
+    """
+
+    def __init__(self, opt, params, keys):
+        self.opt, self.keys = opt, list(keys)
+        missing = [key for key in self.keys if key not in params]
+        if missing:
+            raise KeyError(
+                f"optimization: no parameter '{missing[0]}' in this scene; it has {', '.join(params.keys())}"
+            )
+        for key in self.keys:
+            value = type(params[key])(dr.detach(params[key]))
+            opt[key] = dr.log(dr.clip(value, *EXPONENTS[_name(key)])) if _name(key) in EXPONENTS else value
+
+    def value(self, key):
+        """What the optimiser has found for the parameter `key`, within its legal range."""
+        return self._shown(key, dr.clip(dr.detach(self.opt[key]), *bounds(key)))
+
+    def apply(self, scene):
+        """Brings what the optimiser holds into the legal range and into `scene`; returns the scene's parameters.
+
+        Call it at the start of each step, and once in the end. Raises ValueError for textures in a function that
+        `dr.freeze` records: Mitsuba 3.9 ends the process at a later step.
+        """
+        params = mi.traverse(scene)
+        for key in self.keys:
+            if key.endswith(".data") and dr.flag(dr.JitFlag.FreezingScope):
+                raise ValueError(f"optimization: '{key}' is a texture, which dr.freeze cannot update; call it unfrozen")
+            self.opt[key] = dr.clip(dr.detach(self.opt[key]), *bounds(key))
+            params[key] = self._shown(key, self.opt[key])
+        params.update()
+        return params
+
+    @staticmethod
+    def _shown(key, held):
+        return dr.exp(held) if _name(key) in EXPONENTS else held
+
+
+def bounds(key: str) -> tuple[float, float]:
+    """The range of what an optimiser holds for the parameter `key`; infinite where anything is legal."""
+    name = _name(key)
+    if name in EXPONENTS:
+        low, high = EXPONENTS[name]
+        return math.log(low), math.log(high)
+    return (0.0, 1.0) if name in FRACTIONS else (0.0, math.inf) if name in POSITIVE else (-math.inf, math.inf)
+
+
+def _name(key: str) -> str:
+    parts = key.split(".")
+    return parts[-2] if parts[-1] in ("value", "data") and len(parts) > 1 else parts[-1]
