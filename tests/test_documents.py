@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+import webbrowser
 
 import mitsuba as mi
 import numpy as np
@@ -79,6 +80,7 @@ SHORT = {
 def folder(tmp_path, monkeypatch):
     """The current folder, with the files that the pages speak of; measurements are short."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda address: True)
     monkeypatch.setattr(stability, "QUICK_CASES", 2**12)
     monkeypatch.setattr(lobe_errors, "EXPONENTS", (10.0, 1e6))
     for name, text in FILES.items():
@@ -87,6 +89,8 @@ def folder(tmp_path, monkeypatch):
     for name, ks in PICTURES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         phong_bsdf("render", "scene.xml", "-o", name, "--linear", "-D", f"ks={ks}")
+    for seed in "12":
+        phong_bsdf("render", "scene.xml", "-o", f"part_{seed}.exr", "--spp", "2", "--seed", seed)
     return tmp_path
 
 
