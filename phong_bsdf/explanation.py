@@ -54,7 +54,7 @@ class Explanation:
 
 
 def explain(
-    loaded: LoadedScene, *, camera: int = 1, spp: int = 0, repeats: int = 9, on_progress=lambda *_: None
+    loaded: LoadedScene, *, camera: int = 1, spp: int = 0, seed: int = 0, repeats: int = 9, on_progress=lambda *_: None
 ) -> Explanation:
     """An `Explanation` of the kernel that renders `loaded` with its `whitted`, in the active variant, a JIT one.
 
@@ -70,6 +70,16 @@ def explain(
     spp = spp or sensor.sampler().sample_count()
     _shrink(loaded, camera, sensor, spp)
     integrator: Any = loaded.scene.integrator()
+    before = integrator.keep
+
+    def frame(keep):
+        """Milliseconds of a frame whose kernel holds these features."""
+        integrator.keep = keep
+        dr.sync_thread()
+        start = time.perf_counter()
+        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))
+        dr.sync_thread()
+        return (time.perf_counter() - start) * 1e3
 
     held = integrator.features(loaded.scene, sensor, spp)
     # Each feature is measured against a kernel that holds what it requires.
@@ -79,7 +89,10 @@ def explain(
         required = frozenset(REQUIRED.get(feature, ())) - held
         pairs[feature] = (required, required | {feature})
         kernels.update(pairs[feature])
-    costs = _measure(loaded.scene, sensor, spp, integrator, sorted(kernels, key=sorted), repeats, on_progress)
+    try:
+        costs = _measure(frame, sorted(kernels, key=sorted), repeats, on_progress)
+    finally:
+        integrator.keep = before
 
     facts = _facts(loaded.scene, sensor, spp, integrator)
     rows = []
@@ -101,35 +114,20 @@ def _shrink(loaded, camera, sensor, spp):
         resize(loaded, camera, max(int(width * factor), 1), max(int(height * factor), 1))
 
 
-def _measure(scene, sensor, spp, integrator, kernels, repeats, on_progress):
+def _measure(frame, kernels, repeats, on_progress):
     """For each set of features that are kept: (operations, milliseconds) of a frame."""
     operations, times = {}, {keep: [] for keep in kernels}
-    before, history = integrator.keep, dr.flag(dr.JitFlag.KernelHistory)
-
-    def frame(keep):
-        integrator.keep = keep
-        dr.sync_thread()
-        start = time.perf_counter()
-        dr.eval(mi.render(scene, sensor=sensor, spp=spp))
-        dr.sync_thread()
-        return (time.perf_counter() - start) * 1e3
-
-    try:
-        for i, keep in enumerate(kernels):
-            on_progress("compiling", i / len(kernels))
-            frame(keep)
-            dr.set_flag(dr.JitFlag.KernelHistory, True)
+    for i, keep in enumerate(kernels):
+        on_progress("compiling", i / len(kernels))
+        frame(keep)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             frame(keep)
             operations[keep] = sum(k.get("operation_count", 0) for k in dr.kernel_history())
-            dr.set_flag(dr.JitFlag.KernelHistory, history)
-        for repeat in range(repeats):
-            on_progress("measuring", repeat / repeats)
-            for keep in kernels:
-                times[keep].append(frame(keep))
-    finally:
-        integrator.keep = before
-        dr.set_flag(dr.JitFlag.KernelHistory, history)
+    for repeat in range(repeats):
+        on_progress("measuring", repeat / repeats)
+        for keep in kernels:
+            times[keep].append(frame(keep))
     return {keep: (operations[keep], float(np.median(times[keep]))) for keep in kernels}
 
 

@@ -29,7 +29,7 @@ def explain(scene, folder, variant, defines, spp, size, camera, seed, threads, v
             loaded = rendering.load(scene, dict(defines))
             if size:
                 rendering.resize(loaded, camera, *size)
-            result = explanation.explain(loaded, camera=camera, spp=spp or 0, on_progress=show)
+            result = explanation.explain(loaded, camera=camera, spp=spp or 0, seed=seed, on_progress=show)
         if folder:
             report.write(folder, result)
     click.echo(report.text(result), nl=False)
