@@ -77,7 +77,7 @@ def explain(
         integrator.keep = keep
         dr.sync_thread()
         start = time.perf_counter()
-        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))
+        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))  # pyright: ignore[reportArgumentType]  (a number is taken, too)
         dr.sync_thread()
         return (time.perf_counter() - start) * 1e3
 
