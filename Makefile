@@ -3,12 +3,11 @@
 PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/ready
-LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml))
 
-.PHONY: demo test check bench docs figures study gallery explorer clean
+.PHONY: demo test check docs figures gallery explorer stability study bench clean
 
-demo: $(LECTURE)
-	@echo "The lecture's pictures are in $(CURDIR)/out"
+demo: $(READY)
+	@$(BIN)/phong-bsdf demo -o out
 
 test: $(READY)
 	@$(BIN)/python -m pytest
@@ -16,6 +15,33 @@ test: $(READY)
 check: $(READY)
 	@$(BIN)/python -m pip install -q --group lint
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	@$(BIN)/pyright --pythonpath $(BIN)/python
+	@$(BIN)/pyright --pythonpath $(BIN)/python --pythonversion 3.13
+
+# Builds the pages and measures nothing; figures and tables are in the repository.
+docs: $(READY)
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs out/docs
+	@echo "The documentation is in $(CURDIR)/out/docs/index.html"
+
+# Draws figures anew; ONLY="albedo.svg" draws that one.
+figures: $(READY)
+	@$(BIN)/python docs/figures.py $(ONLY)
+
+# Renders all scenes small, for docs/gallery.md.
+gallery: $(READY)
+	@$(BIN)/python docs/gallery.py
+
+# Writes the page of docs/explorer, and its picture where there is a Chromium.
+explorer: $(READY)
+	@$(BIN)/python docs/explorer.py
+
+# Measures the table and the plot of docs/stability.md: a minute.
+stability: $(READY)
+	@$(BIN)/python docs/sweep.py
+
+# Measures the three scenes of docs/error-vs-time.md: some five minutes. What is in out/study is not measured again.
+study: $(READY)
+	@$(BIN)/python docs/study.py
 
 # All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md.
 bench: $(READY)
@@ -23,37 +49,8 @@ bench: $(READY)
 	@$(BIN)/phong-bsdf explain scenes/lecture/mirror-floor.xml -o out/bench > /dev/null
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ONLY) $(ARGS)
 
-figures: $(READY)
-	@$(BIN)/python docs/figures.py
-	@$(BIN)/phong-bsdf render scenes/lecture/mirror-floor.xml -o docs/images/mirror-floor.png --spp 16
-
-# The three scenes of docs/error-vs-time.md: some five minutes. What is in out/study is not measured again.
-study: $(READY)
-	@$(BIN)/python docs/study.py
-
-gallery: $(READY)
-	@$(BIN)/python docs/gallery.py
-
-# The page, and its picture where there is a Chromium.
-explorer: $(READY)
-	@$(BIN)/python docs/explorer.py
-
-docs: figures study gallery explorer
-
 clean:
 	rm -rf .venv out
-
-# One picture of two: without falloff above, with it below.
-out/falloff.png: scenes/lecture/falloff.xml $(READY)
-	@mkdir -p out
-	@$(BIN)/phong-bsdf render $< -o out/falloff-without.exr
-	@$(BIN)/phong-bsdf render $< -o out/falloff-with.exr -D convention=physical -D intensity=91.6
-	@$(BIN)/python -c "import numpy, phong_bsdf.images as i; i.write('$@', \
-	    numpy.concatenate([i.read_exr(f'out/falloff-{x}.exr') for x in ('without', 'with')]))"
-
-out/%.png: scenes/lecture/%.xml $(READY)
-	@mkdir -p out
-	@$(BIN)/phong-bsdf render $< -o $@
 
 $(READY): pyproject.toml
 	@echo "Installing into .venv (once)"

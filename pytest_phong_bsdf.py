@@ -20,6 +20,7 @@ def _choose_llvm() -> None:
     if package is None or not package.origin:
         return
     spec = importlib.util.spec_from_file_location("_phong_bsdf_llvm", Path(package.origin).with_name("llvm.py"))
+    assert spec is not None and spec.loader is not None
     llvm = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(llvm)
     with warnings.catch_warnings():

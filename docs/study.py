@@ -9,14 +9,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pages
 
 from phong_bsdf import images
 from phong_bsdf.convergence import conclusions, lobe_errors, planning
 from phong_bsdf.passes import Store
-from phong_bsdf.report import convergence_tables, page
+from phong_bsdf.report import convergence_tables
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs/error-vs-time.md"
+PAGE = "error-vs-time.md"
 OUT = ROOT / "out/study"
 
 # Name -> arguments of `phong-bsdf converge`; the page shows the same.
@@ -43,26 +44,21 @@ def main():
         command = [sys.executable, "-m", "phong_bsdf", "converge", *shlex.split(arguments), "-o", str(OUT / name)]
         subprocess.run(command, check=True, cwd=ROOT)
         if name == "lobes":
-            insert(name, lobe_table(lobe_errors.read(Store(OUT / name))))
+            pages.insert(name, lobe_table(lobe_errors.read(Store(OUT / name))), PAGE)
             continue
         found, pictures = conclusions.conclude(Store(OUT / name), planning.read_run(Store(OUT / name)))
         image = strip(pictures, SHOWN[name], conclusions.against(found.run))
-        images.write(ROOT / f"docs/images/study-{name}.png", image)
+        images.write(pages.IMAGES / f"study-{name}.png", image)
         plot = (OUT / name / "relmse.svg").read_text(encoding="utf-8")
-        images.replace_file(ROOT / f"docs/images/study-{name}.svg", plot)
-        insert(name, convergence_tables.equal_time_text(found))
+        images.replace_file(pages.IMAGES / f"study-{name}.svg", plot)
+        pages.insert(name, convergence_tables.equal_time_text(found), PAGE)
 
 
 def strip(pictures, names, against) -> np.ndarray:
-    """Pictures side by side; below those of methods their errors, bright from 0.1 on."""
-    maps = []
-    for name in names:
-        difference = pictures[name] - pictures[against.get(name, name)]
-        colours = page.false_colours(difference, 0.1)
-        # The map's colours are those of a file already.
-        maps.append(np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4))
-    row = [pictures[name] for name in names]
-    return np.concatenate([np.concatenate(line, axis=1) for line in (row, maps)], axis=0).repeat(2, 0).repeat(2, 1)
+    """Pictures side by side, enlarged; below those of methods their errors."""
+    maps = (pages.error_map(pictures[name] - pictures[against.get(name, name)]) for name in names)
+    rows = pages.below([pages.beside(pictures[name] for name in names), pages.beside(maps)])
+    return rows.repeat(2, 0).repeat(2, 1)
 
 
 def lobe_table(found: lobe_errors.LobeErrors) -> str:
@@ -79,16 +75,6 @@ def lobe_table(found: lobe_errors.LobeErrors) -> str:
         lines.append(line)
     headings = ("lobe", "p", *(f"{f} {what}" for f in lobe_errors.FORMULAS for what in ("error", "ns")))
     return tables.text_table(headings, lines)
-
-
-def insert(name: str, table: str) -> None:
-    """Between the marks of the page."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(f"<!-- table {name} -->\n")
-    _, end, after = rest.partition("<!-- end of table -->\n")
-    if not end:
-        raise ValueError(f"{PAGE}: there is no place for the table '{name}'")
-    lines = "\n".join(line.rstrip() for line in table.split("\n"))
-    images.replace_file(PAGE, f"{before}<!-- table {name} -->\n```text\n{lines}```\n{end}{after}")
 
 
 if __name__ == "__main__":

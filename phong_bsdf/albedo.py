@@ -199,4 +199,4 @@ def _beta(a):
 
 
 if __name__ == "__main__":
-    np.savez_compressed(FILE, **tabulate())
+    np.savez_compressed(FILE, allow_pickle=False, **tabulate())

@@ -2,7 +2,7 @@
 
 import gc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import mitsuba as mi
@@ -84,7 +84,7 @@ class Plan:
     """What will be rendered: checked, but not loaded."""
 
     path: Path
-    states: Mapping[str, object]
+    states: Mapping[str, "mi.parser.ParserState"]
     """Picture name -> parsed scene."""
     replacements: tuple[Replacement, ...]
     curves: tuple[curves.Curves, ...]
@@ -122,8 +122,8 @@ def plan(
     for picture, choices in jobs.items():
         states[picture] = state
         for choice in choices:
-            states[picture], *records = _swap(path, states[picture], picture, found[choice.surface], choice)
-            measured.append(records)
+            states[picture], shown, curve = _swap(path, states[picture], picture, found[choice.surface], choice)
+            measured.append((shown, curve))
     replacements, curved = zip(*measured, strict=True)
     return Plan(Path(path), states, replacements, curved)
 
@@ -176,10 +176,11 @@ def _check_given(given: Sequence[Choice], found: Mapping[str, surfaces.Surface])
 
 def _row(picture, swapped, loaded, result, reference) -> Row:
     image = metrics.colors(result.image)
-    errors = metrics.errors(image, reference) if reference is not None else metrics.Errors(None, None, None, None)
+    errors = (None,) * 4 if reference is None else astuple(metrics.errors(image, reference))
+    mse, relmse, max_error, flip = errors
     height, width = image.shape[:2]
     return Row(
-        picture, swapped, errors.mse, errors.relmse, errors.max_error, errors.flip, metrics.energy(image),
+        picture, swapped, mse, relmse, max_error, flip, metrics.energy(image),
         metrics.nonfinite(image), width, height, result.spp, result.seed,
         loaded.seconds, result.seconds_compiling, result.seconds_rendering,
     )  # fmt: skip

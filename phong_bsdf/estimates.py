@@ -40,7 +40,7 @@ def mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
 
 def geometric_mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     """Mean of the logarithms of positive values, for what varies by factors."""
-    return mean(np.log(values), confidence).map(math.exp)
+    return mean(np.log(values).tolist(), confidence).map(math.exp)
 
 
 # Pictures --------------------------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ class WeightedMean:
     def __init__(self):
         self.count = 0
         self.samples = 0
-        self._sum: np.ndarray | float = 0.0
+        self._sum = np.zeros(())
         self._squares = 0.0
 
     def add(self, image: np.ndarray, samples: int) -> None:
@@ -121,7 +121,7 @@ class WeightedMean:
 
 def average(images: Sequence[np.ndarray]) -> np.ndarray:
     """Mean of pictures of one shape, in double precision."""
-    return sum(np.asarray(image, np.float64) for image in images) / len(images)
+    return sum((np.asarray(image, np.float64) for image in images), np.zeros(())) / len(images)
 
 
 def error(p: Products, confidence: float = CONFIDENCE) -> Estimate:

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -68,7 +69,7 @@ def explain(
     sensor = loaded.sensor(camera)
     spp = spp or sensor.sampler().sample_count()
     _shrink(loaded, camera, sensor, spp)
-    integrator = loaded.scene.integrator()
+    integrator: Any = loaded.scene.integrator()
     before = integrator.keep
 
     def frame(keep):
@@ -76,7 +77,7 @@ def explain(
         integrator.keep = keep
         dr.sync_thread()
         start = time.perf_counter()
-        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))
+        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))  # pyright: ignore[reportArgumentType]  (a number is taken, too)
         dr.sync_thread()
         return (time.perf_counter() - start) * 1e3
 

@@ -6,9 +6,9 @@ Two machines, and a scene and its copy elsewhere, have the same fingerprint.
 import hashlib
 import os
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -22,7 +22,7 @@ LENGTH = 16
 
 def versions() -> str:
     """All software that a picture depends on."""
-    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}"
+    return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {metadata.version('drjit')}"
 
 
 def scene_hash(path: Path, state) -> str:
@@ -43,7 +43,7 @@ def scene_hash(path: Path, state) -> str:
 def named_files(path: Path, state) -> Iterator[tuple[int, str, Path]]:
     """(index of the node, its parameter, file) for every file that a parsed scene names and that exists."""
     with rendering.files_beside(path):
-        resolver = mi.file_resolver()
+        resolver = mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
         for index, node in enumerate(state.nodes):
             for key in node.props.keys():  # noqa: SIM118
                 if "file" in key and node.props.type(key) == mi.Properties.Type.String:
@@ -75,7 +75,7 @@ def _text(props, key: str) -> str:
         return " ".join(f"{x:.12g}" for x in matrix.ravel())
     if kind == kinds.ResolvedReference:
         return str(value.index())
-    if kind == kinds.Spectrum:
+    if kind == kinds.Spectrum:  # pyright: ignore[reportAttributeAccessIssue]  (not in Mitsuba's stubs)
         return str([value.wavelengths, value.values])
     if kind in (kinds.Vector, kinds.Color):
         return str(np.array(value, np.float64).tolist())

@@ -144,7 +144,7 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
 
 
 def _checksum(image: np.ndarray) -> str:
-    return f"{zlib.crc32(np.ascontiguousarray(image)):08x}"
+    return f"{zlib.crc32(np.ascontiguousarray(image).data):08x}"
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:

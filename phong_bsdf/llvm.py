@@ -88,7 +88,7 @@ def describe() -> dict[str, str]:
     version = drjit.detail.llvm_version()
     return {
         "python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})",
-        "drjit": drjit.__version__,
+        "drjit": metadata.version("drjit"),
         VARIABLE: os.environ.get(VARIABLE, "not set"),
         "LLVM loaded by Dr.Jit": ".".join(map(str, version)) if version[0] > 0 else "none",
     }

@@ -86,9 +86,9 @@ def flip(image: np.ndarray, reference: np.ndarray) -> float:
 
     # It takes float32 RGB >= 0 only, ends the process on anything else, and writes to stdout.
     both = (np.broadcast_to(np.clip(a, 0, None), (*a.shape[:2], 3)) for a in (reference, image))
-    both = (np.ascontiguousarray(a, np.float32) for a in both)
+    r, x = (np.ascontiguousarray(a, np.float32) for a in both)
     with contextlib.redirect_stdout(io.StringIO()):
-        _, mean, _ = flip_evaluator.evaluate(*both, "HDR", applyMagma=False, parameters=dict(FLIP_EXPOSURES))
+        _, mean, _ = flip_evaluator.evaluate(r, x, "HDR", applyMagma=False, parameters=dict(FLIP_EXPOSURES))
     return float(mean)
 
 

@@ -53,6 +53,7 @@ class Samples:
             yield self.seed
             return
         across = grid(self.spp)
+        assert across is not None, "samples that are not random are those of a grid"
         for row in self._places(across, self.shift[1]):
             for column in self._places(across, self.shift[0]):
                 yield column, row

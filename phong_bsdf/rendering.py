@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -33,7 +34,7 @@ class LoadedScene:
     """A scene in memory, with what its file says about it."""
 
     path: Path
-    scene: object
+    scene: "mi.Scene"
     integrator: str
     """Name of its class."""
     seconds: float
@@ -70,7 +71,7 @@ def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
     return load_parsed(path, parse(path, defines), start)
 
 
-def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool = True):
+def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool = True) -> "mi.parser.ParserState":
     """The nodes of a scene file, references resolved, nothing made of them yet: a `mitsuba.parser.ParserState`.
 
     With `merge` nodes that are equal become one, as Mitsuba does it, and lose their ids.
@@ -80,7 +81,7 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
         raise SceneError(f"{path}: this is a folder" if path.is_dir() else f"{path}: there is no such file")
     try:
         with files_beside(path):
-            config = mi.parser.ParserConfig(mi.variant())
+            config = mi.parser.ParserConfig(str(mi.variant()))
             config.merge_equivalent = config.merge_meshes = merge
             state = mi.parser.parse_file(config, str(path), **(defines or {}))
             mi.parser.transform_all(config, state)
@@ -89,27 +90,27 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
     return state
 
 
-def merged(state):
+def merged(state: "mi.parser.ParserState") -> "mi.parser.ParserState":
     """A copy of a parsed scene in which equal nodes are one, as Mitsuba makes them when it loads a file: faster to
     render."""
     state = mi.parser.ParserState(state)
-    config = mi.parser.ParserConfig(mi.variant())
+    config = mi.parser.ParserConfig(str(mi.variant()))
     mi.parser.transform_merge_equivalent(config, state)
     mi.parser.transform_merge_meshes(config, state)
     return state
 
 
-def make(path: Path, state):
+def make(path: Path, state: "mi.parser.ParserState") -> Any:
     """The object that the root of a parsed scene, perhaps changed since, describes."""
     try:
         with files_beside(path):
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
-            return mi.parser.instantiate(mi.parser.ParserConfig(mi.variant()), mi.parser.ParserState(state))
+            return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
     except RuntimeError as error:
         raise SceneError(explain(error, path)) from None
 
 
-def load_parsed(path: Path, state, start: float | None = None) -> LoadedScene:
+def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None = None) -> LoadedScene:
     """Load a parsed scene, perhaps changed since; `path` is where it came from, `start` when that began."""
     start = start or time.perf_counter()
     scene = make(path, state)
@@ -174,7 +175,7 @@ def render(
         raise SceneError(explain(error, loaded.path)) from None
     seconds = max(seconds - compiling.seconds, 0.0)
     return Rendering(
-        image, mi.variant(), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
+        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
     )
 
 
@@ -213,14 +214,14 @@ def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
 @contextlib.contextmanager
 def files_beside(path: Path):
     """Inside, Mitsuba finds files that the scene names relative to its own folder."""
-    before = mi.file_resolver()
+    before = mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     resolver = mi.FileResolver(before)
     resolver.prepend(str(Path(path).parent))
-    mi.set_file_resolver(resolver)
+    mi.set_file_resolver(resolver)  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     try:
         yield
     finally:
-        mi.set_file_resolver(before)
+        mi.set_file_resolver(before)  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
 
 
 def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:

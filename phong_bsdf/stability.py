@@ -9,6 +9,7 @@ error that a rounding of the inputs alone would cause.
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -239,7 +240,7 @@ def _naive_sample_blinnphong(wi, p, xi):
 
 
 def _naive_cos_power_sample(p, xi):
-    cos = dr.power(xi.x, 1 / (p + 1))
+    cos: Any = dr.power(xi.x, 1 / (p + 1))
     sin = dr.sqrt(1 - dr.square(cos))
     sin_phi, cos_phi = dr.sincos(dr.two_pi * xi.y)
     return mi.Vector3f(sin * cos_phi, sin * sin_phi, cos)
@@ -299,7 +300,7 @@ def _measure_directions(lobe, p, cases, seed) -> Iterator[Row]:
         if (lobe, quantity) == ("blinnphong", "value"):
             beckmann = _beckmann(inputs[0], inputs[1], p).numpy()
             native_error, native_c, *_ = _worst(beckmann, *_exact_beckmann(wi, wo, p))
-            timed.append(lambda: _beckmann(inputs[0], inputs[1], p))
+            timed.append(lambda f=_beckmann: f(inputs[0], inputs[1], p))
         times = _interleaved(timed, len(wi))
         inputs_of = [tuple(float(x) for x in (*wi[i], *wo[i])) for i in worst]
         ours = error, inputs_of[0], c, inputs_of[1]

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -23,7 +24,8 @@ DEFAULTS = (0.5, 0.2, 30.0)
 ON_SHAPES = ("mesh_attribute", "volume")
 
 # What a parameter can be besides a number or a colour.
-OBJECTS = (mi.Properties.Type.ResolvedReference, mi.Properties.Type.Spectrum)
+# (Mitsuba's stubs lack the second.)
+OBJECTS = (mi.Properties.Type.ResolvedReference, mi.Properties.Type.Spectrum)  # pyright: ignore[reportAttributeAccessIssue]
 
 # As the BSDFs do where energy would not be conserved.
 CONSERVED = 0.99
@@ -49,7 +51,7 @@ class Surface:
         return COEFFICIENTS[which] in self.textured or REFLECTANCES[which] in self.textured
 
 
-def find(state, make: Callable[[object], object]) -> list[Surface]:
+def find(state, make: Callable[[Any], Any]) -> list[Surface]:
     """All lobe BSDFs that the scene uses, in the order of the file; `make` makes the root of a parsed scene."""
     names: dict[str, int] = {}
     for index, owner in sorted(_bsdfs(state)):
@@ -144,7 +146,7 @@ def _surface(state, make, name: str, index: int) -> Surface:
     return Surface(name, where, index, lobe, tuple(textured), tuple(notes))
 
 
-def _mean(state, make, props, name: str, default: float) -> tuple[tuple[float, float, float], bool]:
+def _mean(state, make, props, name: str, default: float) -> tuple[tuple[float, ...], bool]:
     """The mean colour of a parameter over the texture's unit square, and whether it is a texture."""
     value = props.get(name, default)
     if isinstance(value, int | float):
@@ -164,7 +166,7 @@ def _mean(state, make, props, name: str, default: float) -> tuple[tuple[float, f
     return _mean_reflectance(make(_with_node(state, 0, node))), is_texture
 
 
-def _mean_reflectance(bsdf, side: int = 64) -> tuple[float, float, float]:
+def _mean_reflectance(bsdf, side: int = 64) -> tuple[float, ...]:
     """Mean over a grid of the unit square; in spectral variants grey."""
     steps = (np.arange(side) + 0.5) / side
     points = [mi.Point2f(float(u), float(v)) for u in steps for v in steps]

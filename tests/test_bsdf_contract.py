@@ -232,6 +232,8 @@ def test_mesh_attributes_are_textures():
         ({"type": "phong", "shininess": 3.0}, "shininess"),
         ({"type": "mirrorblend", "km": 1.5, "b": {"type": "diffuse"}}, "mirrorblend: 'km' must be in [0, 1], got 1.5"),
         ({"type": "mirrorblend", "km": 0.5}, "mirrorblend: needs exactly one nested BSDF, got 0"),
+        ({"type": "mirrorblend", "kmm": 0.4, "b": {"type": "diffuse"}}, "kmm"),
+        ({"type": "mirrorblend", "kmm": {"type": "checkerboard"}, "b": {"type": "diffuse"}}, "kmm"),
         (
             {"type": "mirrorblend", "a": {"type": "diffuse"}, "b": {"type": "phong"}},
             "mirrorblend: needs exactly one nested BSDF, got 2",

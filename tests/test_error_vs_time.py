@@ -1,8 +1,7 @@
-"""docs/error-vs-time.md: its commands work, its scene is what it says, its figures and tables are there."""
+"""docs/error-vs-time.md: its scene is what it says, its figures and tables are there."""
 
 import json
 import re
-import shlex
 from pathlib import Path
 
 import pytest
@@ -12,34 +11,13 @@ from phong_bsdf.cli import main
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs/error-vs-time.md").read_text()
-COMMANDS = re.findall(r"^    phong-bsdf (converge .*)$", PAGE, re.M)
 LIGHTS = ROOT / "scenes/converge/thousand-lights.xml"
-
-SMALL = ["--size", "12x9", "--spp", "4", "--repeats", "1"]
 
 
 def run(arguments):
     result = CliRunner().invoke(main, list(map(str, arguments)))
     assert result.exit_code == 0, result.stderr or result.exception
     return result.stdout
-
-
-@pytest.mark.slow
-def test_commands_of_the_page_work(tmp_path, monkeypatch):
-    """Each of them, on small pictures; the study's scenes are where it says."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
-    (tmp_path / "SCENE.xml").symlink_to(ROOT / "scenes/compare/balls.xml")
-    assert len(COMMANDS) == 9
-    for command in COMMANDS:
-        arguments = shlex.split(command)
-        if "--lobes" in arguments:
-            # tests/test_lobe_errors.py runs it.
-            continue
-        if "--from" not in arguments:
-            # tests/test_convergence.py runs all methods.
-            arguments += SMALL if "--method" in arguments else [*SMALL, "--method", "path"]
-        assert "The page: " in run(arguments)
 
 
 @pytest.mark.slow

@@ -10,9 +10,6 @@ from click.testing import CliRunner
 from phong_bsdf import images
 from phong_bsdf.cli import main
 
-ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs/old-scenes.md"
-
 OLD = """\
 <scene version="0.6.0">
     <integrator type="bdpt"/>
@@ -123,14 +120,3 @@ def test_mistakes(folder, args, message):
     assert result.exit_code == 2
     assert message in result.stderr and "Traceback" not in result.output
     assert sorted(p.name for p in folder.iterdir()) == before and Path("old.xml").read_text() == OLD
-
-
-def test_the_documents_commands(folder):
-    """Every `phong-bsdf` line of the page runs, in its order, in a folder with the files that it names."""
-    (folder / "scene.xml").write_text(OLD)
-    (folder / "pyramid.obj").write_text(OBJ)
-    commands = re.findall(r"^ {4}phong-bsdf (.*)$", PAGE.read_text(), re.M)
-    assert len(commands) >= 4
-    for command in commands:
-        result = phong_bsdf(*command.split())
-        assert result.exit_code == 0, (command, result.output)

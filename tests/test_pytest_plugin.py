@@ -375,9 +375,3 @@ def test_documented_tests_work(project):
         count = 2 if "phong_variants" in text else 1
         project("--phong-update-references", test=test).assert_outcomes(passed=count)
         project(test=test).assert_outcomes(passed=count)
-
-
-def test_the_documented_comparison_works():
-    """The example without pytest runs as it stands."""
-    (text,) = (block for block in blocks() if "def test_" not in block)
-    exec(compile(text, "test-authors.md", "exec"), {})

@@ -1,4 +1,4 @@
-"""Every scene in `scenes/` and every scene in the documents."""
+"""Every scene in `scenes/`, and the snippets in the plugins' manuals."""
 
 import re
 from pathlib import Path
@@ -11,9 +11,6 @@ import phong_bsdf  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 SCENES = sorted(p for p in (ROOT / "scenes").rglob("*.xml") if p.name != "cameras.xml")
-# These have tests of their own, which run their examples; tests/test_gallery.py holds the gallery to the scenes.
-OTHERS = {"gallery.md", "inverse-rendering.md", "lecturers.md", "test-authors.md"}
-DOCUMENTS = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").glob("*.md")) if p.name not in OTHERS)]
 
 
 def load(name, **defines):
@@ -70,28 +67,6 @@ def test_mirror_floor_blends():
     floor = slice(54, 60)
     # The balls mirrored in the floor mirror it in turn (the right one, km = .15), so only almost.
     assert half[floor] == pytest.approx((ends[0][floor] + ends[1][floor]) / 2, abs=0.02)
-
-
-def blocks(language):
-    for document in DOCUMENTS:
-        for i, text in enumerate(re.findall(rf"```{language}\n(.*?)```", document.read_text(), re.S)):
-            yield pytest.param(text, id=f"{document.name}-{i}")
-
-
-@pytest.mark.parametrize("text", list(blocks("xml")))
-def test_documented_xml_renders(text):
-    """XML in the documents is a scene that renders."""
-    image = np.array(mi.render(mi.load_string(text), spp=1))
-    assert image.max() > 0.1
-
-
-@pytest.mark.parametrize("text", list(blocks("python")))
-def test_documented_python_runs(text):
-    """Python in the documents runs as it stands."""
-    namespace = {}
-    exec(compile(text, "document", "exec"), namespace)
-    if "image" in namespace:
-        assert np.array(namespace["image"]).max() > 0.1
 
 
 @pytest.mark.parametrize("name", ("phong", "blinnphong", "mirrorblend", "whitted"))

@@ -242,4 +242,4 @@ def _is_speckled(values: np.ndarray, right: np.ndarray, allowed: np.ndarray) -> 
         jump, expected = (np.abs(np.diff(image, axis=axis)).max(axis=-1) for image in (values, right))
         lit = np.delete(right.max(axis=-1) > limit, -1, axis=axis) & (expected <= limit)
         jumps, sides = jumps + np.count_nonzero(lit & (jump > 2 * limit)), sides + np.count_nonzero(lit)
-    return jumps > SPECKLED * sides
+    return bool(jumps > SPECKLED * sides)

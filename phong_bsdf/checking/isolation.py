@@ -17,10 +17,10 @@ def isolated(variant: str) -> Iterator[None]:
     """
     if variant not in mi.variants():
         raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
-    before, threads, resolver = mi.variant(), dr.thread_count(), mi.file_resolver()
+    before, threads, resolver = mi.variant(), dr.thread_count(), mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     flags = {flag: dr.flag(flag) for flag in _single_flags()}
     mi.set_variant(variant)
-    level = mi.logger().log_level()
+    level = mi.logger().log_level()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     mi.set_log_level(mi.LogLevel.Warn)
     try:
         yield
@@ -34,7 +34,7 @@ def isolated(variant: str) -> Iterator[None]:
         if dr.thread_count() != threads:
             dr.set_thread_count(threads)
         mi.set_log_level(level)
-        mi.set_file_resolver(resolver)
+        mi.set_file_resolver(resolver)  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
         if before is not None:
             mi.set_variant(before)
 

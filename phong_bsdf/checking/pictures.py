@@ -152,7 +152,8 @@ def _read_integers(path: Path, linear: bool, size) -> Picture:
                 if file.format == "JPEG":
                     from PIL import JpegImagePlugin
 
-                    jpeg = {"qtables": file.quantization, "subsampling": JpegImagePlugin.get_sampling(file)}
+                    tables = file.quantization  # pyright: ignore[reportAttributeAccessIssue]  (files of this format have)
+                    jpeg = {"qtables": tables, "subsampling": JpegImagePlugin.get_sampling(file)}
                 if file.mode in ("P", "PA"):
                     notes = ("the file has a palette, which holds 256 colours at most; save it as RGB",)
                 array = _sixteen_bits(path) if deep else _eight_bits(file)

@@ -7,6 +7,7 @@ NAME-variance.exr holds how much the passes scatter: the variance of the means o
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -145,7 +146,7 @@ def _is_noisy(render, image: np.ndarray) -> bool:
     return bool(difference.max(initial=0) > SAME * max(np.abs(image[finite]).max(initial=0), 1e-6))
 
 
-def _metadata(path: Path) -> dict[str, object]:
+def _metadata(path: Path) -> dict[str, Any]:
     import OpenEXR
 
     with OpenEXR.File(str(path), header_only=True) as file:

@@ -131,10 +131,10 @@ def _reflected(recipe: Recipe, bounce: Bounce, light: Light, v, materials, shado
             cos, lobe = (cos if recipe.behind == "negative" else np.abs(cos)), np.where(above, lobe, 0)
         else:
             cos = np.maximum(cos, 0)
-        light = light.intensity * (light.falloff if recipe.falloff else np.ones(len(cos)))[:, None]
-        light = np.where(visible[:, None], light, 0)
-        diffuse = light * bounce.diffuse * cos[:, None]
-        return diffuse, light * specular * lobe[:, None] if recipe.highlight else 0 * diffuse
+        intensity = light.intensity * (light.falloff if recipe.falloff else np.ones(len(cos)))[:, None]
+        intensity = np.where(visible[:, None], intensity, 0)
+        diffuse = intensity * bounce.diffuse * cos[:, None]
+        return diffuse, intensity * specular * lobe[:, None] if recipe.highlight else 0 * diffuse
 
 
 def _lobe_cosine(recipe: Recipe, bounce: Bounce, materials, n, l, v) -> np.ndarray:  # noqa: E741

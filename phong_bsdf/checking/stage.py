@@ -138,7 +138,7 @@ class Stage:
     def _surface_columns(self, si, valid, n):
         """The materials' constants at each lane, and whether the surface has two sides."""
         names = {"material": 1, "diffuse": 3, "specular": 3, "cosine": 1, "exponent": 1, "km": 3}
-        columns = {name: np.zeros((n, channels)) for name, channels in names.items()}
+        columns: dict[str, np.ndarray] = {name: np.zeros((n, channels)) for name, channels in names.items()}
         flips = np.zeros(n, bool)
         bsdf = si.bsdf()
         for number, (pointer, surface) in enumerate(self.surfaces_of):

@@ -88,7 +88,7 @@ def compare(
 
 def sample(passes: Iterable[np.ndarray]) -> Sampled:
     """The mean and the scatter of passes of the same scene with different seeds, at least two."""
-    count, mean, tiles, squares = 0, 0.0, 0.0, 0.0
+    count, mean, tiles, squares = 0, np.zeros(()), np.zeros(()), np.zeros(())
     for image in passes:
         count += 1
         image = np.asarray(image, np.float64)
@@ -115,7 +115,7 @@ def compare_noisy(actual: Sampled, expected: Sampled, *, alpha: float = ALPHA) -
     # The tiles, and as one more "tile" the whole picture.
     wholes = [x.mean(axis=(0, 1)) for x in (mean, reference)]
     difference = np.abs(np.vstack([_rows(a - b), wholes[0] - wholes[1]]))
-    p = _welch(difference, *(_with_whole(x) for x in (actual, expected)), actual.passes, expected.passes)
+    p = _welch(difference, _with_whole(actual), _with_whole(expected), actual.passes, expected.passes)
     limit = -np.expm1(np.log1p(-alpha) / p.size)
     # Where nothing scatters, only rounding may differ.
     off = (p < limit) & (difference > ROUNDING[0] * np.vstack([_rows(np.abs(b)), wholes[1]]) + ROUNDING[1])

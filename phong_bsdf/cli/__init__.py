@@ -7,6 +7,7 @@ from .check import check
 from .compare import compare
 from .converge import converge
 from .convert import convert
+from .demo import demo
 from .doctor import doctor
 from .explain import explain
 from .explore import explore
@@ -22,5 +23,5 @@ def main():
     """Phong, Blinn-Phong, mirrors and a Whitted ray tracer for Mitsuba 3."""
 
 
-for command in (render, sweep, merge, check, convert, compare, converge, explain, explore, stability, doctor):
+for command in (render, sweep, merge, check, convert, compare, converge, explain, explore, stability, demo, doctor):
     main.add_command(command)

@@ -74,8 +74,9 @@ class _Run:
     def _is_enough(self, mean, error) -> bool:
         from ..progressive import planning
 
-        wanted = self.target is not None and error is not None and mean.count >= planning.LEAST_PASSES
-        return mean.count == self.plan.count or (wanted and 100 * error <= self.target)
+        if self.target is not None and error is not None and mean.count >= planning.LEAST_PASSES:
+            return mean.count == self.plan.count or 100 * error <= self.target
+        return mean.count == self.plan.count
 
     def _summary(self, mean, error, seconds) -> str:
         from .. import rendering

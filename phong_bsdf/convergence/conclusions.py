@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -135,7 +136,7 @@ def against(run: Run) -> dict[str, str]:
 def _reference(store: Store, reference: ReferenceRun) -> study.Reference | None:
     """None where nothing of it is there."""
     if reference.kind == "file":
-        return study.Reference(reference.name, [metrics.colors(images.read_exr(reference.file))], kind="file")
+        return study.Reference(reference.name, [metrics.colors(images.read_exr(Path(reference.file)))], kind="file")
     # Earlier runs may have made passes for other levels.
     made = [p for p in store.list(reference.key) if p.spp in reference.levels]
     if reference.kind == "grid":
@@ -208,7 +209,8 @@ def _rows(run: Run, method: MethodRun, result: study.Result, made: list[Pass]) -
         yield Row(
             run.scene, run.scene_hash, method.name, spec["integrator"] or run.integrator, spec["sampler"],
             spec["sampling"], spec["bsdf"], method.limit, p.variant, p.spp, p.repeat, p.seed, p.seconds,
-            p.seconds_warmup, *numbers, error.nonfinite, p.versions, p.machine, p.time,
+            p.seconds_warmup, *numbers,
+            nonfinite=error.nonfinite, versions=p.versions, machine=p.machine, time=p.time,
         )  # fmt: skip
 
 

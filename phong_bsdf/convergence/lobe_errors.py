@@ -82,7 +82,7 @@ def measure(
     store.claim(passes.LOBES)
     machine = passes.machine(dr.thread_count())
     key = "lobes-" + passes.digest([mi.variant(), versions(), machine, cases, seed, EXPONENTS])
-    run = LobeRun(key, cases, repeats, seed, mi.variant(), versions(), machine)
+    run = LobeRun(key, cases, repeats, seed, str(mi.variant()), versions(), machine)
     (store.passes / key).mkdir(parents=True, exist_ok=True)
     # First: a run that is killed can be drawn.
     images.replace_file(store.folder / passes.LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 
@@ -43,7 +44,7 @@ class Method:
     levels: tuple[int, ...] = ()
     """Samples per pixel to measure at; empty: as all methods."""
 
-    def spec(self) -> dict[str, object]:
+    def spec(self) -> dict[str, Any]:
         """All that its pictures depend on."""
         return {name: value for name, value in vars(self).items() if name not in ("name", "levels")}
 
@@ -53,7 +54,7 @@ class Scene:
     """A parsed scene, and what its methods depend on."""
 
     path: Path
-    state: object
+    state: "mi.parser.ParserState"
     integrator: str
     lobes: tuple[int, ...]
     """Its `phong` and `blinnphong` nodes."""

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,7 +31,7 @@ class MethodRun:
     """A method of a run."""
 
     name: str
-    spec: Mapping[str, object]
+    spec: Mapping[str, Any]
     key: str
     limit: str
     """The reference's name."""
@@ -74,7 +75,7 @@ class Plan:
     """What will be rendered: checked, but not loaded."""
 
     path: Path
-    states: Mapping[str, object]
+    states: Mapping[str, "mi.parser.ParserState"]
     """Key -> parsed scene."""
     limits: Mapping[str, methods.Method]
     """Key of a reference -> the method that it is made by."""
@@ -127,7 +128,7 @@ def plan(
             _reference(scene, limit, [(m, max(real[m.name])) for m in chosen if limits[m.name] == limit], key)
             for limit in {limit.name: limit for limit in limits.values()}.values()
         ]
-    run = Run(Path(path).name, scene_hash, scene.integrator, mi.variant(), camera, tuple(levels), repeats, seed,
+    run = Run(Path(path).name, scene_hash, scene.integrator, str(mi.variant()), camera, tuple(levels), repeats, seed,
               runs, tuple(references), versions, machine)  # fmt: skip
     return Plan(Path(path), states, {r.key: used[r.key] for r in references if r.key in used}, size, run)
 
@@ -171,7 +172,7 @@ def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) 
     if size:
         return size
     nodes = (scene.state.nodes[i] for i in methods.children(sensors[camera - 1]))
-    film = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
+    film: Any = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
     width, height = (film.get(name, default) for name, default in (("width", 768), ("height", 576)))
     return film.get("crop_width", width), film.get("crop_height", height)
 

@@ -187,7 +187,7 @@ def equal_time(results: Sequence[Result]) -> Table:
     def cell(result: Result, time: float) -> Cell | None:
         at = {level.spp: level.seconds.median for level in result.levels}
         curves = _repeats(result.passes)
-        found = [estimates.error_at([at[e.spp] for e in c], [e.relmse for e in c], time) for c in curves]
+        found = [estimates.error_at([at[e.spp] for e in c], _errors(c), time) for c in curves]
         return _cell(found)
 
     return _table(results, [t for times in medians.values() for t in times], cell)
@@ -199,7 +199,7 @@ def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[i
 
     def cell(result: Result, error: float) -> Cell | None:
         at, curves = seconds[result.name], _repeats(result.passes)
-        times = [estimates.time_to([at[e.spp, e.repeat] for e in c], [e.relmse for e in c], error) for c in curves]
+        times = [estimates.time_to([at[e.spp, e.repeat] for e in c], _errors(c), error) for c in curves]
         first = next((level.relmse.value for level in result.levels if level.relmse), math.inf)
         return _cell(times, at_most=first <= error)
 
@@ -212,8 +212,10 @@ def _level(spp: int, chosen, reference: Reference, flip) -> tuple[Level, list[Pa
     bad = [metrics.nonfinite(image) for _, image in chosen]
     warmup = max(made.seconds_warmup for made, _ in chosen)
     if any(bad) or reference.nonfinite:
-        none = [PassErrors(spp, made.repeat, *[None] * 4, n) for (made, _), n in zip(chosen, bad, strict=True)]
-        return Level(spp, len(chosen), spread, warmup, *[None] * 6, sum(bad)), none, {}
+        none = [
+            PassErrors(spp, made.repeat, None, None, None, None, n) for (made, _), n in zip(chosen, bad, strict=True)
+        ]
+        return Level(spp, len(chosen), spread, warmup, None, None, None, None, None, None, sum(bad)), none, {}
 
     pictures = [image for _, image in chosen]
     products = {name: estimates.products(pictures, reference.images, w) for name, w in reference.weights.items()}
@@ -268,17 +270,22 @@ def _repeats(passes: Sequence[PassErrors]) -> list[list[PassErrors]]:
     return [curve for curve in by_repeat.values() if len(curve) == most]
 
 
+def _errors(passes: Sequence[PassErrors]) -> list[float]:
+    return [errors.relmse for errors in passes if errors.relmse is not None]
+
+
 def _slope(each: Sequence[PassErrors], position) -> Estimate | None:
-    slopes = [estimates.slope([position(e) for e in c], [e.relmse for e in c]) for c in _repeats(each)]
+    slopes = [estimates.slope([position(e) for e in c], _errors(c)) for c in _repeats(each)]
     known = [s for s in slopes if s is not None]
     return estimates.mean(known) if known else None
 
 
 def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
     """The mean of logarithms, where every repeat has a value."""
-    if not found or None in found:
+    known = [value for value in found if value is not None]
+    if not known or len(known) < len(found):
         return None
-    return Cell(estimates.geometric_mean(found), at_most)
+    return Cell(estimates.geometric_mean(known), at_most)
 
 
 def _table(results: Sequence[Result], values: Sequence[float], cell, descending: bool = False) -> Table:

@@ -33,7 +33,7 @@ class Context:
             if node.tag == "alias":
                 self.aliases[node.get("as", "")] = node.get("id", "")
             elif node.tag != "ref" and "id" in node.attrib:
-                self.ids.setdefault(node.get("id"), node)
+                self.ids.setdefault(node.attrib["id"], node)
 
     def inner_first(self) -> list[Node]:
         """All elements, each after those inside of it and those that it refers to: a copy of one is a finished one."""
@@ -51,17 +51,17 @@ class Context:
 
     def target(self, node: Node) -> Node | None:
         """What a reference stands for; the node itself if it is none; None where there is no such object."""
-        seen = set()
-        while node is not None and node.tag == "ref":
-            name = node.get("id", "")
+        seen, found = set(), node
+        while found is not None and found.tag == "ref":
+            name = found.get("id", "")
             while name in self.aliases and name not in seen:
                 seen.add(name)
                 name = self.aliases[name]
-            if id(node) in seen:
+            if id(found) in seen:
                 return None
-            seen.add(id(node))
-            node = self.ids.get(name)
-        return node
+            seen.add(id(found))
+            found = self.ids.get(name)
+        return found
 
     def dereference(self, node: Node) -> Node:
         """The node itself, or, of a reference, a copy of what it stands for."""

@@ -16,20 +16,22 @@ OF_0_6 = ("diffuse_reflectance", "specular_reflectance")
 
 def phong(node: Node, context: Context) -> None:
     """0.6's `phong` is this package's. A course's has a single `reflectance`, that of the highlight."""
-    if node.find_named("reflectance") is not None and node.find_named(*OF_0_6) is None:
+    reflectance = node.find_named("reflectance")
+    if reflectance is not None and node.find_named(*OF_0_6) is None:
         p = _exponent(node)
-        _dialect(node, context, (p + 1) / 2, "R (p+1)/2, so that the values are the same")
+        _dialect(node, reflectance, context, (p + 1) / 2, "R (p+1)/2, so that the values are the same")
 
 
 def blinn(node: Node, context: Context) -> None:
     """A course's `blinn`; with two reflectances, Blinn-Phong in the words of 0.6's `phong`."""
     node.set("type", "blinnphong")
-    if node.find_named("reflectance") is None or node.find_named(*OF_0_6) is not None:
+    reflectance = node.find_named("reflectance")
+    if reflectance is None or node.find_named(*OF_0_6) is not None:
         context.journal.change(node.place, "'blinn' is now 'blinnphong'", "the name here")
         return
     p = _exponent(node)
     factor = (p + 2) / (4 * (2 - 2 ** (-p / 2)))
-    _dialect(node, context, factor, "R (p+2) / (4 (2 - 2^(-p/2))), so that the values are the same")
+    _dialect(node, reflectance, context, factor, "R (p+2) / (4 (2 - 2^(-p/2))), so that the values are the same")
     context.journal.loss(
         node.place, "a course's 'blinn'", "its rise toward white at grazing angles (Schlick) is left out"
     )
@@ -40,9 +42,10 @@ def _exponent(node: Node) -> float:
     return max(number(given), 0.0) if given is not None else 30.0
 
 
-def _dialect(node: Node, context: Context, factor: float, why: str) -> None:
+def _dialect(node: Node, reflectance: Node, context: Context, factor: float, why: str) -> None:
     """R c lobe^p, cosine included, in the lecture's coefficients: kd = 0, ks = pi c R."""
-    reflectance, exponent = node.take("reflectance"), node.take("exponent")
+    node.remove(reflectance)
+    exponent = node.take("exponent")
     node.add("rgb", name="kd", value="0")
     constant = color(reflectance)
     if constant is not None:
@@ -53,7 +56,7 @@ def _dialect(node: Node, context: Context, factor: float, why: str) -> None:
         ks.set("name", "ks")
         _scale_texture(ks, factor, context)
         node.append(ks)
-    node.add("float", name="p", value=exponent.get("value") if exponent is not None else "30")
+    node.add("float", name="p", value=exponent.get("value", "") if exponent is not None else "30")
     context.journal.change(
         reflectance.place, f"'reflectance' of '{node.type}' is now 'ks'", f"a course's dialect; ks = {why}"
     )

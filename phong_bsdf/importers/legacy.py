@@ -148,7 +148,7 @@ def _filenames(context: Context) -> None:
             context.journal.loss(node.place, f"file '{node.get(attribute)}'", "there is no such file")
         new = context.files.relative(path)
         if new != node.get(attribute):
-            if os.path.normpath(node.get(attribute).replace("\\", "/")) != new:
+            if os.path.normpath(node.get(attribute, "").replace("\\", "/")) != new:
                 context.journal.change(node.place, f"file '{node.get(attribute)}'", f"seen from the new scene: '{new}'")
             node.set(attribute, new)
 
@@ -178,7 +178,7 @@ def _settings(context: Context) -> None:
         node = next((n.find_named(name) for n in sensors[0].nodes if n.tag == tag), None)
         if node is None or "$" in node.get("value", "$") or default in context.defaults:
             continue
-        root.insert(0, root.like("default", name=default, value=node.get("value")))
+        root.insert(0, root.like("default", name=default, value=node.attrib["value"]))
         node.set("value", f"${default}")
 
 

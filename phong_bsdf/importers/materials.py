@@ -98,7 +98,7 @@ class Materials:
 
     # Surfaces ---------------------------------------------------------------------------------------------
 
-    def _lobe(self, parent: Node, material: Material | None, gain: float, shiny: bool = True) -> Node:
+    def _lobe(self, parent: Node, material: Material | None, gain: float | list[float], shiny: bool = True) -> Node:
         """`blinnphong`, all of it times `gain`."""
         made = parent.add("bsdf", type="blinnphong")
         kd, ks, p = VOCABULARIES[self.vocabulary]

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,10 @@ def write_ply(path: Path, mesh: Mesh) -> None:
 
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
-    optional = {"has_vertex_normals": mesh.normals is not None, "has_vertex_texcoords": mesh.texcoords is not None}
-    made = mi.Mesh(path.stem, len(mesh.positions), len(mesh.faces), **optional)
+    made = mi.Mesh(
+        path.stem, len(mesh.positions), len(mesh.faces),
+        has_vertex_normals=mesh.normals is not None, has_vertex_texcoords=mesh.texcoords is not None,
+    )  # fmt: skip
     params = mi.traverse(made)
     arrays = {
         "vertex_positions": mesh.positions, "vertex_normals": mesh.normals, "vertex_texcoords": mesh.texcoords,
@@ -46,7 +49,8 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     }  # fmt: skip
     for name, array in arrays.items():
         if array is not None:
-            params[name] = type(params[name])(np.ascontiguousarray(array).ravel())
+            kind: Any = type(params[name])
+            params[name] = kind(np.ascontiguousarray(array).ravel())
     params.update()
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         temporary = Path(folder) / path.name

@@ -117,7 +117,7 @@ class _Statements:
         self.libraries: list[tuple[str, int]] = []
         self._material, self._smoothing = -1, 0
         self._line, self._seen = 1, 0
-        self._lines: dict[str, int] = {}
+        self._lines: dict[str | bytes, int] = {}
 
     def strip_from(self, text: bytes) -> bytes:
         """`text` with a `usemtl` for each pair of material and smoothing group, and no other statements."""

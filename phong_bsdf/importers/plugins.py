@@ -214,7 +214,7 @@ def _sky(node: Node, context: Context) -> None:
         node.add("float", name=off, value="0")
         if scale is not None:
             node.take(on)
-            node.add("float", name=on, value=scale.get("value"))
+            node.add("float", name=on, value=scale.attrib["value"])
     elif scale is not None:
         for name in ("sun_scale", "sky_scale"):
             own = node.take(name)
@@ -252,8 +252,8 @@ def _shape(node: Node, context: Context) -> None:
 
 def _medium(node: Node, context: Context) -> None:
     """sigma_s and sigma_a as sigma_t and albedo; colours above 1, which Mitsuba 3 refuses, as a scale."""
-    given = [node.find_named(name) for name in ("sigma_s", "sigma_a")]
-    if None not in given:
+    given = [n for n in map(node.find_named, ("sigma_s", "sigma_a")) if n is not None]
+    if len(given) == 2:
         scattering, absorption = (color(n) for n in given)
         if not scattering or not absorption:
             why = "they are no plain constants; write sigma_t and albedo"
@@ -274,7 +274,7 @@ def _medium(node: Node, context: Context) -> None:
         context.journal.loss(preset.place, f"medium of material '{preset.get('value')}'", "Mitsuba 3 has no presets")
     density = node.find_named("sigma_t")
     values = color(density) if density is not None else None
-    if values and density.tag == "rgb" and max(values) > 1:
+    if density is not None and values and density.tag == "rgb" and max(values) > 1:
         scale = node.take("scale")
         set_color(density, [v / max(values) for v in values])
         factor = max(values) * (number(scale) if scale is not None else 1.0)

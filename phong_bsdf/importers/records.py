@@ -62,11 +62,11 @@ class Journal:
 
     def change(self, place, what: str, why: str) -> None:
         """Note a change at `place`, a pair of file name and line."""
-        self._records[Record(*place, CHANGE, what, why)] = None
+        self._records[Record(*place, kind=CHANGE, what=what, why=why)] = None
 
     def loss(self, place, what: str, why: str) -> None:
         """Note a loss at `place`, a pair of file name and line."""
-        self._records[Record(*place, LOSS, what, why)] = None
+        self._records[Record(*place, kind=LOSS, what=what, why=why)] = None
 
     def records(self) -> tuple[Record, ...]:
         """All records, by file in the order in which the files were read, then by line."""

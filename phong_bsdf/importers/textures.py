@@ -58,9 +58,10 @@ def _multiply(node: Node, factor: list[float], context: Context) -> str | None:
     """Multiply a texture or constant; why not, where that is not possible."""
     constant = color(node)
     if constant is not None:
-        set_color(node, _product(constant, factor))
+        product = _product(constant, factor)
+        set_color(node, product)
         if node.get("id"):
-            _constant(node, color(node))
+            _constant(node, product)
     elif node.type == "checkerboard":
         for name, default in CHECKERBOARD.items():
             square = node.find_named(name)
@@ -83,9 +84,10 @@ def _bitmap(node: Node, parent: Node, context: Context) -> None:
     """An image: gamma, channel, filter, wrapping."""
     journal = context.journal
     kind = node.find_named("filter_type")
-    if kind is not None and kind.get("value") in FILTERS and FILTERS[kind.get("value")] != kind.get("value"):
-        journal.change(kind.place, f"filter '{kind.get('value')}'", "now 'bilinear', the best that Mitsuba 3 has")
-        kind.set("value", FILTERS[kind.get("value")])
+    asked = kind.get("value", "") if kind is not None else ""
+    if kind is not None and FILTERS.get(asked, asked) != asked:
+        journal.change(kind.place, f"filter '{asked}'", "now 'bilinear', the best that Mitsuba 3 has")
+        kind.set("value", FILTERS[asked])
     _wrapping(node, context)
     gamma, channel = node.take("gamma"), node.take("channel")
     power = number(gamma) if gamma is not None else -1.0
@@ -146,7 +148,8 @@ def _offsets(node: Node, context: Context) -> None:
     both = taken["uvscale"]
 
     def value(name, default):
-        return to_text([number(taken[name])]) if taken[name] is not None else default
+        node = taken[name]
+        return to_text([number(node)]) if node is not None else default
 
     base = to_text([number(both)]) if both is not None else "1"
     transform = node.add("transform", name="to_uv")
@@ -211,7 +214,7 @@ def mean(node: Node, context: Context) -> float | None:
     name = node.find_named("filename")
     if node.type != "bitmap" or name is None:
         return None
-    path = context.files.written_as(name.get("value")) if name.final else _image(node, context)
+    path = context.files.written_as(name.attrib["value"]) if name.final else _image(node, context)
     if path is None:
         return None
     raw = node.find_named("raw")

@@ -125,8 +125,8 @@ def _look_at(node: Node, journal: Journal) -> None:
         if not isinstance(child, Node) or child.tag.lower() != "lookat" or "ox" not in child.attrib:
             continue
         for name, letter in (("origin", "o"), ("target", "t"), ("up", "u")):
-            parts = [child.attrib.pop(letter + axis, None) for axis in "xyz"]
-            if None not in parts:
+            parts = [child.attrib.pop(letter + axis) for axis in "xyz" if letter + axis in child.attrib]
+            if len(parts) == 3:
                 child.set(name, ", ".join(parts))
         node.insert(list(node).index(child), child.like("scale", x="-1"))
         journal.change(child.place, "<lookAt ox=... tx=...>", "now origin, target and up, and a mirrored x axis")

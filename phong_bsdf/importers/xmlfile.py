@@ -7,6 +7,7 @@ declared in a document type: so any document type is refused, and there is nothi
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 from xml.parsers import expat
 
 from .records import ConversionError
@@ -80,7 +81,7 @@ class Node(ET.Element):
 
     def become(self, other: "Node") -> None:
         """Turn into a copy of another element, but for what this one is called and its id."""
-        kept = {key: self.get(key) for key in ("name", "id") if key in self.attrib}
+        kept = {key: self.attrib[key] for key in ("name", "id") if key in self.attrib}
         children = [child.clone() for child in other.nodes]
         self.tag, self.attrib = other.tag, {**other.attrib, **kept}
         for key in ("name", "id"):
@@ -101,7 +102,7 @@ def read(path: Path, *, comments: bool = True) -> Node:
     Without `comments` they may hold anything, as Mitsuba's parser has it, also the `--` that XML forbids.
     """
     parser = expat.ParserCreate()
-    builder = ET.TreeBuilder(element_factory=Node, insert_comments=True)
+    builder: Any = ET.TreeBuilder(element_factory=Node, insert_comments=True)
     depth = 0
 
     def start(tag, attributes):

@@ -20,12 +20,12 @@ class MirrorBlend(mi.BSDF):
     The nested BSDF is any plugin, native ones included. The mirror is on the sides that the
     nested BSDF has (`twosided` inside or outside: both).
 
-    ====  ==============================  ========  =======  =============================
-    name  type                            range     default  meaning
-    ====  ==============================  ========  =======  =============================
-    km    number, RGB, spectrum, texture  [0, 1]    0.5      mirrored part
-    bsdf  BSDF                            exactly 1          the surface under the mirror
-    ====  ==============================  ========  =======  =============================
+    ====  ==============================  =========  =======  =============================
+    name  type                            range      default  meaning
+    ====  ==============================  =========  =======  =============================
+    km    number, RGB, spectrum, texture  [0, 1]     0.5      mirrored part
+    bsdf  BSDF                            exactly 1           the surface under the mirror
+    ====  ==============================  =========  =======  =============================
 
     `km` is differentiable. Values of a texture outside the range are clamped to it. The
     delta lobe follows Mitsuba's `plastic`: the `pdf` of a mirror sample is the probability
@@ -46,7 +46,7 @@ class MirrorBlend(mi.BSDF):
     def __init__(self, props):
         super().__init__(props)
         self.km = Parameter(props, "km", 0.5, upper=1)
-        nested = [props[name] for name in props.keys() if isinstance(props[name], mi.BSDF)]  # noqa: SIM118
+        nested = [value for value in _unnamed(props) if isinstance(value, mi.BSDF)]
         if len(nested) != 1:
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
@@ -195,6 +195,14 @@ class MirrorBlend(mi.BSDF):
     def _shift(self, bs):
         bs.sampled_component += 1 if self.mirrors else 0
         return bs
+
+
+def _unnamed(props):
+    """What the scene gives besides `km`. Only BSDFs count as read: the rest, a misspelt name say, Mitsuba refuses."""
+    for name in props.unqueried():
+        value = props[name]
+        props.mark_queried(name, isinstance(value, mi.BSDF))
+        yield value
 
 
 mi.register_bsdf("mirrorblend", MirrorBlend)

@@ -86,7 +86,7 @@ def load(
     integrator = next(n.props.plugin_name() for n in state.nodes if n.type == mi.ObjectType.Integrator)
     subject = Subject(
         Path(path).name, fingerprint.scene_hash(path, state), tuple(sorted((defines or {}).items())),
-        integrator, mi.variant(), camera, (width, height), fingerprint.versions(),
+        integrator, str(mi.variant()), camera, (width, height), fingerprint.versions(),
     )  # fmt: skip
     return loaded, subject
 

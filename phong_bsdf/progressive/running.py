@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def on_disk(folder: Folder, index: int, on_broken: Callable[[str], None]) -> np.
 @contextlib.contextmanager
 def _part_of_grid(loaded: LoadedScene, samples: Samples):
     """Inside, `whitted` renders this part of its grid."""
-    integrator = loaded.scene.integrator()
+    integrator: Any = loaded.scene.integrator()
     if samples.step > 1:
         integrator.part = samples.step, samples.shift
     try:

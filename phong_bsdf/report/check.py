@@ -116,7 +116,7 @@ def write_page(folder: Path, assignment: Assignment, checked: Checked, name: str
 
 def _pictures(assignment: Assignment, checked: Checked) -> dict[str, object] | None:
     """What the page shows of a picture that could be read."""
-    if checked.picture is None:
+    if checked.picture is None or checked.expected is None or checked.excess is None:
         return None
     images = {"expected": checked.expected, "handed in": checked.picture.values}
     shown = []

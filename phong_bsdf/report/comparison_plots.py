@@ -1,6 +1,7 @@
 """Plots of a comparison, as inline SVG: the lobes of each surface in polar coordinates, and its albedo."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _polar(chosen: list[Curves], inks: dict[str, str], which: int):
     figure = Figure(figsize=SIZE)
     # A square, of which matplotlib fills the middle half: it may reach out of the drawing.
     side = 0.82 * SIZE[0] / SIZE[1]
-    axes = figure.add_axes((0.09, 0.46 - side / 2, 0.82, side), projection="polar")
+    axes: Any = figure.add_axes((0.09, 0.46 - side / 2, 0.82, side), projection="polar")
     peaks = {curves.picture: max(value for _, value in curves.lobes[which]) for curves in chosen}
     for curves in chosen:
         angles, values = np.transpose(curves.lobes[which])

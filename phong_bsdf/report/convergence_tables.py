@@ -43,7 +43,7 @@ def verdict(result: study.Result) -> str:
         level = result.bias.value
         return f"levels off at {tables.number(level)} ({100 * math.sqrt(max(level, 0)):.2g} %)"
     if result.verdict == "unbiased":
-        return f"none found, at most {tables.number(max(result.bias.high, 0))}"
+        return f"none found, at most {tables.number(max(result.bias.high or 0.0, 0.0))}"
     words = {"falling": "the error still falls", "reference": "the error is the reference's own"}
     if result.verdict in words:
         return words[result.verdict]

@@ -10,6 +10,7 @@ import re
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +117,7 @@ def svg(figure, label: str):
     return Markup(drawing.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1))
 
 
-def ink_style() -> dict[str, object]:
+def ink_style() -> dict[Any, Any]:
     """Matplotlib settings for a figure that `svg` makes inline."""
     inked = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
     return {**dict.fromkeys(inked, INK), "grid.color": "#808080", "grid.alpha": 0.35, "font.size": 8}

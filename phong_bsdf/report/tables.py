@@ -8,6 +8,7 @@ import math
 import platform
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from importlib import metadata
 from pathlib import Path
 
 from ..images import replace_file
@@ -22,10 +23,10 @@ def context() -> dict[str, str]:
 
     return {
         "phong_bsdf": __version__,
-        "mitsuba": mi.__version__,
-        "drjit": drjit.__version__,
+        "mitsuba": str(mi.__version__),
+        "drjit": metadata.version("drjit"),
         "llvm": ".".join(map(str, drjit.detail.llvm_version())),
-        "variant": mi.variant(),
+        "variant": str(mi.variant()),
         "python": platform.python_version(),
         "machine": f"{platform.machine()}, {_cores()} cores",
         "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
