@@ -70,26 +70,17 @@ def explain(
     spp = spp or sensor.sampler().sample_count()
     _shrink(loaded, camera, sensor, spp)
     integrator: Any = loaded.scene.integrator()
-    before = integrator.keep
-
-    def frame(keep):
-        """Milliseconds of a frame whose kernel holds these features."""
-        integrator.keep = keep
-        dr.sync_thread()
-        start = time.perf_counter()
-        dr.eval(mi.render(loaded.scene, sensor=sensor, spp=spp, seed=seed))  # pyright: ignore[reportArgumentType]  (a number is taken, too)
-        dr.sync_thread()
-        return (time.perf_counter() - start) * 1e3
 
     held = integrator.features(loaded.scene, sensor, spp)
     # Each feature is measured against a kernel that holds what it requires.
-    kernels = {frozenset(), frozenset(FEATURES)}
     pairs = {}
     for feature in FEATURES.keys() - held:
         required = frozenset(REQUIRED.get(feature, ())) - held
         pairs[feature] = (required, required | {feature})
-        kernels.update(pairs[feature])
+    kernels = {frozenset(), frozenset(FEATURES)}.union(*pairs.values())
+    before = integrator.keep
     try:
+        frame = _frames(loaded.scene, sensor, spp, seed, integrator)
         costs = _measure(frame, sorted(kernels, key=sorted), repeats, on_progress)
     finally:
         integrator.keep = before
@@ -105,6 +96,20 @@ def explain(
     rows += [Row(feature, text, there, left_out, None, None) for feature, (text, there, left_out) in facts.items()]
     width, height = (int(side) for side in sensor.film().crop_size())
     return Explanation(tuple(rows), width, height, spp, *costs[frozenset()], *costs[frozenset(FEATURES)])
+
+
+def _frames(scene, sensor, spp, seed, integrator):
+    """A function: milliseconds of a frame whose kernel holds these features."""
+
+    def frame(keep):
+        integrator.keep = keep
+        dr.sync_thread()
+        start = time.perf_counter()
+        dr.eval(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+        dr.sync_thread()
+        return (time.perf_counter() - start) * 1e3
+
+    return frame
 
 
 def _shrink(loaded, camera, sensor, spp):
