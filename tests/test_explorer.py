@@ -420,3 +420,56 @@ def test_page_fits_any_screen_and_stays_put(page, width, scheme):
         assert [page.locator(x).bounding_box() for x in watched] == before
     assert "does not see" in page.locator("#formula-note").inner_text()
     assert page.evaluate("document.getAnimations().length") == 0
+
+
+# The longest lines of the formula, and the longest number.
+LONG = "terms=physical&lobe=phong&count=4&falloff=1&km=0.55&floor=glossy&p=1000000&light1=-45,40,5.3,1,ffc080"
+
+
+@pytest.mark.parametrize("width", (320, 390, 820, 1024, 1300))
+def test_nothing_is_cut(page, width):
+    """Every formula and every number is there in full, on any screen."""
+    page.set_viewport_size({"width": width, "height": 800})
+    choose(page, LONG)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    # Text that has more lines makes its box higher, other text leaves it to the right.
+    cut = page.evaluate(
+        "[...document.querySelectorAll('#formula *, input[type=number]')].filter(e => "
+        "e.scrollWidth > e.clientWidth && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML)"
+    )
+    assert cut == []
+    edges = "e => { const r = document.createRange(); r.selectNodeContents(e); return r.getBoundingClientRect().right; }"
+    formula = page.locator("#formula").bounding_box()
+    for line in page.locator("#formula dt, #formula dd").all():
+        assert line.evaluate(edges) <= formula["x"] + formula["width"] + 0.5
+
+
+@pytest.mark.parametrize(("width", "height"), ((390, 844), (844, 390), (820, 1100), (1024, 768), (1280, 600)))
+def test_picture_is_in_sight_of_every_control(page, width, height):
+    """Whoever moves a slider sees what it does."""
+    page.set_viewport_size({"width": width, "height": height})
+    page.evaluate("scrollTo(0, 0)")
+    for control in page.locator("#controls input[type=range], #controls input[type=checkbox]").all():
+        control.focus()
+        box = page.locator("#picture").bounding_box()
+        assert box["y"] >= -1 and box["y"] + box["height"] <= height + 1
+
+
+def test_changes_are_told(page):
+    """A slider and a button are followed by the light at the point, for those who hear the page."""
+    said = page.locator("#spoken")
+    page.locator("#to-highlight").click()
+    said.filter(has_text="n dot h 1,").wait_for(state="attached")
+    page.locator('[data-range="kd"]').fill("0")
+    page.locator('[data-range="ks"]').fill("0")
+    said.filter(has_text="L 0, 0, 0").wait_for(state="attached")
+    choose(page, "point=ball,180,0")
+    said.filter(has_text="the light is behind the surface").wait_for(state="attached")
+
+
+def test_forbidden_clipboard(page):
+    """What was not copied is not said to be."""
+    page.evaluate("navigator.clipboard.writeText = () => Promise.reject(); document.execCommand = () => false;")
+    page.locator("#copy").click()
+    page.locator("#copied", has_text="forbids").wait_for()
+    page.evaluate("delete navigator.clipboard.writeText; delete document.execCommand;")

@@ -76,7 +76,7 @@ const PRESETS = [
     words: "A red, a green and a blue light on a white ball: L is the sum over the lights. Each shadow lacks one of them." },
   { name: "Falloff", set: {
       falloff: true, floor: "matte", elevation: 35, lights: [light(-70, 25, 0.3, "#ffffff", 2.6)], point: { on: "floor", at: [-1.6, 1] } },
-    words: "With 1/r² a near light is bright and the far side of the board dark. The lecture leaves it out: switch it off and compare." },
+    words: "With 1/d² a near light is bright and the far side of the board dark. The lecture leaves it out: switch it off and compare." },
   { name: "Mirror", set: { km: 0.5, kd: 0.6, floor: "matte", elevation: 18, point: { on: "ball", at: [10, -5] } },
     words: "L = k_m L_r + (1 − k_m) Σ: half of the ball's light is what it mirrors, the other half its own. At k_m = 1 nothing of its own is left." },
   { name: "Energy", set: { terms: "physical", kd: 0.5, ks: 0.2, p: 30 },
