@@ -360,6 +360,10 @@ def test_examples_of_the_lecture(page):
         button.click()
         assert page.locator("#words").inner_text() != before
         scenes.add(page.locator("#xml").text_content())
+        drawn(page)
+        # The point is in the picture, its lobe whole in the plot.
+        assert "does not see" not in page.locator("#formula-note").inner_text()
+        assert "beyond" not in page.locator("#plot-note").inner_text()
     assert len(scenes) == page.locator(".presets button").count()
     page.locator(".presets button", has_text="Grazing").click()
     shapes = []
@@ -432,16 +436,11 @@ def test_nothing_is_cut(page, width):
     page.set_viewport_size({"width": width, "height": 800})
     choose(page, LONG)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    # Text that has more lines makes its box higher, other text leaves it to the right.
     cut = page.evaluate(
         "[...document.querySelectorAll('#formula *, input[type=number]')].filter(e => "
         "e.scrollWidth > e.clientWidth && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML)"
     )
     assert cut == []
-    edges = "e => { const r = document.createRange(); r.selectNodeContents(e); return r.getBoundingClientRect().right; }"
-    formula = page.locator("#formula").bounding_box()
-    for line in page.locator("#formula dt, #formula dd").all():
-        assert line.evaluate(edges) <= formula["x"] + formula["width"] + 0.5
 
 
 @pytest.mark.parametrize(("width", "height"), ((390, 844), (844, 390), (820, 1100), (1024, 768), (1280, 600)))

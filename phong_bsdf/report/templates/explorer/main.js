@@ -35,11 +35,11 @@ function drawPoint() {
   drawOverlay(find("#arrows"), found, world, find("#show-arrows").checked);
   writeFormula(find("#formula"), found, s, state.light);
   find("#plot-angles").innerHTML = angleText(found);
-  find("#plot-note").textContent = [
+  find("#plot-note").innerHTML = [
     leaning > 1 ? `v leans ${leaning.toFixed(0)}° out of this plane.` : "n, l and v lie in this plane.",
     found.light.nl <= 0 ? "The light is behind the surface."
       : found.light.shadow ? "Something is between point and light."
-      : peak > limit ? `The peak, ${peak.toPrecision(3)}, is beyond the edge.` : "",
+      : peak > limit ? `A peak, ${digits(peak)}, is beyond the edge.` : "",
   ].join(" ");
   const other = s.lobe === "phong" ? "blinnphong" : "phong";
   const legend = { lobe: LOBES[s.lobe].name, other: `${LOBES[other].name}, same p`, diffuse: "diffuse part" };
