@@ -380,6 +380,8 @@ def test_every_control_has_a_name_and_a_ring(page):
     for control in controls.all():
         named = "e => e.ariaLabel || [e, ...(e.labels ?? [])].map(x => x.textContent.trim()).join('')"
         assert control.evaluate(named), control.evaluate("e => e.outerHTML")
+    assert len({control.get_attribute("aria-label") for control in page.locator("input[type=color]").all()}) == 2
+    assert page.get_by_role("group", name="chosen light").get_by_role("radio").count() == 4
     page.locator("#picture").focus()
     reached = set()
     for _ in range(60):
