@@ -16,7 +16,7 @@ def picture(chromium: str) -> None:
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 728})
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
         page.goto(PAGE.resolve().as_uri())
         page.wait_for_selector("#picture[data-ready]")
         page.screenshot(path=PICTURE)

@@ -32,6 +32,14 @@ def test_refuses_what_is_no_page(tmp_path):
         assert result.exit_code == 2 and result.stderr.startswith("Error: '")
 
 
+def test_needs_no_more_than_the_package(tmp_path, monkeypatch):
+    """None of its extras."""
+    for package in ("matplotlib", "scipy"):
+        monkeypatch.setitem(sys.modules, package, None)
+    result = CliRunner().invoke(main, ["explore", "-o", str(tmp_path / "page.html")])
+    assert (result.exit_code, result.stderr) == (0, "")
+
+
 def test_page_in_the_documents_is_current(tmp_path):
     """docs/explorer/index.html is what the command writes; `make explorer` mends it."""
     path = tmp_path / "new" / "page.html"

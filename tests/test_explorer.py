@@ -360,6 +360,10 @@ def test_examples_of_the_lecture(page):
         button.click()
         assert page.locator("#words").inner_text() != before
         scenes.add(page.locator("#xml").text_content())
+        drawn(page)
+        # The point is in the picture, its lobe whole in the plot.
+        assert "does not see" not in page.locator("#formula-note").inner_text()
+        assert "beyond" not in page.locator("#plot-note").inner_text()
     assert len(scenes) == page.locator(".presets button").count()
     page.locator(".presets button", has_text="Grazing").click()
     shapes = []
@@ -376,6 +380,8 @@ def test_every_control_has_a_name_and_a_ring(page):
     for control in controls.all():
         named = "e => e.ariaLabel || [e, ...(e.labels ?? [])].map(x => x.textContent.trim()).join('')"
         assert control.evaluate(named), control.evaluate("e => e.outerHTML")
+    assert len({control.get_attribute("aria-label") for control in page.locator("input[type=color]").all()}) == 2
+    assert page.get_by_role("group", name="chosen light").get_by_role("radio").count() == 4
     page.locator("#picture").focus()
     reached = set()
     for _ in range(60):
@@ -420,3 +426,51 @@ def test_page_fits_any_screen_and_stays_put(page, width, scheme):
         assert [page.locator(x).bounding_box() for x in watched] == before
     assert "does not see" in page.locator("#formula-note").inner_text()
     assert page.evaluate("document.getAnimations().length") == 0
+
+
+# The longest lines of the formula, and the longest number.
+LONG = "terms=physical&lobe=phong&count=4&falloff=1&km=0.55&floor=glossy&p=1000000&light1=-45,40,5.3,1,ffc080"
+
+
+@pytest.mark.parametrize("width", (320, 390, 820, 1024, 1300))
+def test_nothing_is_cut(page, width):
+    """Every formula and every number is there in full, on any screen."""
+    page.set_viewport_size({"width": width, "height": 800})
+    choose(page, LONG)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    cut = page.evaluate(
+        "[...document.querySelectorAll('#formula *, input[type=number]')].filter(e => "
+        "e.scrollWidth > e.clientWidth && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML)"
+    )
+    assert cut == []
+
+
+@pytest.mark.parametrize(("width", "height"), ((390, 844), (844, 390), (820, 1100), (1024, 768), (1280, 600)))
+def test_picture_is_in_sight_of_every_control(page, width, height):
+    """Whoever moves a slider sees what it does."""
+    page.set_viewport_size({"width": width, "height": height})
+    page.evaluate("scrollTo(0, 0)")
+    for control in page.locator("#controls input[type=range], #controls input[type=checkbox]").all():
+        control.focus()
+        box = page.locator("#picture").bounding_box()
+        assert box["y"] >= -1 and box["y"] + box["height"] <= height + 1
+
+
+def test_changes_are_told(page):
+    """A slider and a button are followed by the light at the point, for those who hear the page."""
+    said = page.locator("#spoken")
+    page.locator("#to-highlight").click()
+    said.filter(has_text="n dot h 1,").wait_for(state="attached")
+    page.locator('[data-range="kd"]').fill("0")
+    page.locator('[data-range="ks"]').fill("0")
+    said.filter(has_text="L 0, 0, 0").wait_for(state="attached")
+    choose(page, "point=ball,180,0")
+    said.filter(has_text="the light is behind the surface").wait_for(state="attached")
+
+
+def test_forbidden_clipboard(page):
+    """What was not copied is not said to be."""
+    page.evaluate("navigator.clipboard.writeText = () => Promise.reject(); document.execCommand = () => false;")
+    page.locator("#copy").click()
+    page.locator("#copied", has_text="forbids").wait_for()
+    page.evaluate("delete navigator.clipboard.writeText; delete document.execCommand;")

@@ -16,12 +16,11 @@ def explore(path, opens):
     """Write the explorer: a page that shades a ball live, with sliders for everything in the formula."""
     with errors():
         from .. import images
-        from ..report import explorer, page
+        from ..report import explorer
 
         if path.suffix.lower() != ".html" or path.is_dir():
             raise ValueError(f"'{path}': the page must be a file that ends in .html")
         images.check_folder(path.parent)
-        page.check_installed()
         path.parent.mkdir(parents=True, exist_ok=True)
         explorer.write(path)
     click.echo(f"The page: {path}")

@@ -29,8 +29,8 @@ MAP_PERCENTILE = 99.0
 
 
 def check_installed(*more: str) -> None:
-    """Raise ImportError with the remedy where a package for pages, or one of `more`, is missing."""
-    for package in ("jinja2", "matplotlib", *more):
+    """Raise ImportError with the remedy where the package for plots and maps, or one of `more`, is missing."""
+    for package in ("matplotlib", *more):
         try:
             importlib.import_module(package)
         except ImportError as error:

@@ -15,11 +15,11 @@ const cosineText = (c) => {
   return c.toFixed(Math.min(Math.ceil(-Math.log10(rest)) + 2, 15));
 };
 
-// Three channels take as many digits as they need not to jump about.
+// Three channels take as many digits as they need not to jump about; no line ends within them.
 function colourText(c) {
   if (c[0] === c[1] && c[1] === c[2]) return digits(c[0]);
   const largest = Math.max(...c);
-  return `(${c.map((x) => (largest >= 0.01 && largest < 100 ? x.toFixed(3) : digits(x))).join(", ")})`;
+  return `(${c.map((x) => (largest >= 0.01 && largest < 100 ? x.toFixed(largest < 10 ? 3 : 2) : digits(x))).join(",\u00a0")})`;
 }
 
 const swatch = (c, s) => {
@@ -42,7 +42,7 @@ function darkness({ nv, light }) {
   return nv <= 0 ? "seen from behind" : "";
 }
 
-// Rows of [name, formula, numbers, result].
+// Rows of [name, formula, its numbers or why there are none, result].
 function formulaRows(found, s, chosen) {
   const { material: m, light } = found, k = m.physical ? "ρ" : "k", phong = s.lobe === "phong";
   const many = s.count > 1 ? ` <small>light ${chosen + 1}</small>` : "", dark = darkness(found);
@@ -58,20 +58,20 @@ function formulaRows(found, s, chosen) {
       `π · ${digits(m.ks)} · ${digits(m.c)} · ${arrives} · ${raised} · ${nl}`]
     : [`${sub("k", "s")} <i>I</i> ${near} ${factor}`, `${digits(m.ks)} · ${arrives} · ${raised}`];
   const mirror = m.km > 0
-    ? `${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
+    ? `= ${digits(m.km)} · ${colourText(found.mirror)} + ${digits(1 - m.km)} · ${colourText(found.local)}`
     : `${sub("k", "m")} = 0: no mirror`;
-  const sums = found.lights.map((one) => colourText(one.sum)).join(" + ");
+  const sums = (s.count > 1 ? found.lights.map((one) => one.sum) : [diffuse, highlight]).map(colourText).join(" + ");
   return [
-    [own("d"), `${sub(k, "d")} <i>I</i> ${near} (n·l)`, dark || `${colourText(m.kd)} · ${arrives} · ${nl}`, diffuse],
-    [own("s"), specular[0], dark || specular[1], highlight],
-    ["Σ", `all ${sub("L", "d")} + ${sub("L", "s")}`, sums, found.local],
+    [own("d"), `${sub(k, "d")} <i>I</i> ${near} (n·l)`, dark || `= ${colourText(m.kd)} · ${arrives} · ${nl}`, diffuse],
+    [own("s"), specular[0], dark || `= ${specular[1]}`, highlight],
+    ["Σ", `${sub("L", "d")} + ${sub("L", "s")}${s.count > 1 ? " of all lights" : ""}`, `= ${sums}`, found.local],
     ["<i>L</i>", `${sub("k", "m")} ${sub("L", "r")} + (1 − ${sub("k", "m")}) Σ`, mirror, found.result],
   ];
 }
 
 function writeFormula(body, found, s, chosen) {
   body.innerHTML = formulaRows(found, s, chosen).map(([name, formula, numbers, result]) =>
-    `<div><dt>${name} = ${formula}</dt><dd class="numbers">= ${numbers}</dd>
+    `<div><dt>${name} = ${formula}</dt><dd class="numbers">${numbers}</dd>
       <dd class="result">= ${colourText(result)} ${swatch(result, s)}</dd></div>`).join("");
 }
 
@@ -79,8 +79,7 @@ function writeFormula(body, found, s, chosen) {
 function spoken(found, s) {
   const plain = (x) => String(Number(x.toPrecision(2)));
   const where = found.surface === "ball" ? "Ball" : "Board";
-  const { nl, rv, nh, shadow } = found.light;
+  const { nl, rv, nh } = found.light, dark = darkness(found);
   const cosine = s.lobe === "phong" ? `r dot v ${plain(rv)}` : `n dot h ${plain(nh)}`;
-  const shade = shadow ? ", in the shadow" : "";
-  return `${where}: n dot l ${plain(nl)}, ${cosine}${shade}, L ${found.result.map(plain).join(", ")}`;
+  return `${where}: n dot l ${plain(nl)}, ${cosine}${dark && `, ${dark}`}, L ${found.result.map(plain).join(", ")}`;
 }

@@ -35,19 +35,19 @@ function drawPoint() {
   drawOverlay(find("#arrows"), found, world, find("#show-arrows").checked);
   writeFormula(find("#formula"), found, s, state.light);
   find("#plot-angles").innerHTML = angleText(found);
-  find("#plot-note").textContent = [
+  find("#plot-note").innerHTML = [
     leaning > 1 ? `v leans ${leaning.toFixed(0)}° out of this plane.` : "n, l and v lie in this plane.",
     found.light.nl <= 0 ? "The light is behind the surface."
       : found.light.shadow ? "Something is between point and light."
-      : peak > limit ? `The peak, ${peak.toPrecision(3)}, is beyond the edge.` : "",
+      : peak > limit ? `A peak, ${digits(peak)}, is beyond the edge.` : "",
   ].join(" ");
   const other = s.lobe === "phong" ? "blinnphong" : "phong";
   const legend = { lobe: LOBES[s.lobe].name, other: `${LOBES[other].name}, same p`, diffuse: "diffuse part" };
   find("#legend").innerHTML = Object.entries(legend).map(([kind, text]) =>
     `<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="${kind}" d="M1,6 H25"/></svg>${text}</li>`).join("");
   const { scale } = found.material, where = found.surface === "ball" ? "ball" : "board";
-  find("#formula-note").textContent = [
-    scale < 1 ? `ρd + ρs would exceed 1: both are scaled by ${scale.toPrecision(3)}.` : "",
+  find("#formula-note").innerHTML = [
+    scale < 1 ? `${sub("ρ", "d")} + ${sub("ρ", "s")} would exceed 1: both are scaled by ${scale.toPrecision(3)}.` : "",
     !found.visible ? "The viewer does not see this point."
       : scale === 1 ? `A point of the ${where}; its pixel is the mean of four such points.` : "",
   ].join(" ");
@@ -56,7 +56,7 @@ function drawPoint() {
 const refresh = bindControls(state, change);
 let speaking = 0;
 
-// Change the settings, draw all.
+// Change the settings, draw all, and tell it once nothing changes any more.
 function change(edit) {
   edit();
   if (state.s.floor === "none" && state.s.point.on === "floor") state.s.point = copied(DEFAULTS.point);
@@ -65,6 +65,7 @@ function change(edit) {
   world = compile(state.s);
   refresh();
   find("#xml").textContent = sceneXml(state.s);
+  speak();
   if (!frame) {
     frame = requestAnimationFrame(() => {
       frame = 0;
@@ -156,7 +157,6 @@ function step([dx, dy], far) {
     // Around the ball to the right, or up.
     turn(dx * (far ? 10 : 2), -dy * (far ? 10 : 2));
   }
-  speak();
 }
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -186,6 +186,7 @@ let forgetting = 0;
 async function copy(text, what) {
   clearTimeout(forgetting);
   find("#copied").textContent = "";
+  let done = true;
   try {
     await navigator.clipboard.writeText(text);
   } catch {
@@ -194,10 +195,10 @@ async function copy(text, what) {
     area.value = text;
     document.body.append(area);
     area.select();
-    document.execCommand("copy");
+    done = document.execCommand("copy");
     area.remove();
   }
-  find("#copied").textContent = `${what} copied`;
+  find("#copied").textContent = done ? `${what} copied` : "The browser forbids it";
   forgetting = setTimeout(() => { find("#copied").textContent = ""; }, 3000);
 }
 
@@ -216,8 +217,8 @@ function begin(s, words) {
   find("#words").innerHTML = words.replace(/\b([kL])_(\w)/g, "<i>$1</i><sub>$2</sub>");
 }
 
-const WELCOME = "Choose an example, move a slider, or drag on the picture. "
-  + "The point under the mouse is the one in the plot and in the formula; a click keeps it.";
+const WELCOME = "Choose an example, move a slider, or click, tap or drag on the picture: "
+  + "the plot and the formula are about that point.";
 find("#reset").addEventListener("click", () => begin(copied(DEFAULTS), WELCOME));
 for (const example of PRESETS) {
   const button = document.createElement("button");

@@ -1,6 +1,6 @@
 // Drawings in SVG: the lobes in the plane of n and l, and the same arrows on the picture.
 const ARM = 150, ORIGIN = [200, 196];
-const LIMITS = [0.25, 0.5, 1, 1.5, 2];
+const LIMITS = [0.25, 0.5, 1, 1.5, 2, 4];
 const SVG = "http://www.w3.org/2000/svg";
 
 function drawn(parent, kind, attributes, text) {

@@ -61,10 +61,10 @@ const PRESETS = [
     words: "Only the diffuse part: L = k_d I (n·l). It depends on the light's angle alone: from every side the same, a half circle in the plot." },
   { name: "Phong", set: { lobe: "phong" },
     words: "The highlight is brightest where the viewer looks along r, the light's mirror direction, and falls off with the angle between r and v." },
-  { name: "Exponent", set: { kd: 0.3, ks: 0.8, p: 1000 },
+  { name: "Exponent", set: { kd: 0.3, ks: 0.8, p: 100, point: { on: "ball", at: [-20.495, 29.798] } },
     words: "Move p through 1, 10, 100, 1000: the highlight shrinks, its height stays k_s. The lecture's model does not conserve energy; the physical terms do." },
   { name: "Four times p", set: { lobe: "blinnphong", p: 120, ks: 0.8 },
-    words: "Blinn-Phong with p = 120 looks like Phong with p = 30: h turns half as fast as r, so its lobe is twice as wide. Compare the outlines in the plot." },
+    words: "With the same p, Blinn-Phong's lobe is twice as wide as Phong's, because h turns half as fast as r: with p = 120 it looks like Phong with p = 30." },
   { name: "Grazing light", set: {
       lobe: "blinnphong", floor: "glossy", p: 150, ks: 0.8, elevation: 7, count: 2,
       lights: [light(165, 3, 1, "#ffffff", 10), light(-30, 35, 0.3)], point: { on: "floor", at: [1.3, -0.9] } },
@@ -75,8 +75,8 @@ const PRESETS = [
       point: { on: "ball", at: [0, 40] } },
     words: "A red, a green and a blue light on a white ball: L is the sum over the lights. Each shadow lacks one of them." },
   { name: "Falloff", set: {
-      falloff: true, floor: "matte", elevation: 35, lights: [light(-70, 25, 0.3, "#ffffff", 2.6)], point: { on: "floor", at: [-1.6, 1] } },
-    words: "With 1/r² a near light is bright and the far side of the board dark. The lecture leaves it out: switch it off and compare." },
+      falloff: true, floor: "matte", elevation: 35, lights: [light(-70, 25, 0.3, "#ffffff", 2.6)], point: { on: "floor", at: [-1.2, 0.6] } },
+    words: "With 1/d² a near light is bright and the far side of the board dark. The lecture leaves it out: switch it off and compare." },
   { name: "Mirror", set: { km: 0.5, kd: 0.6, floor: "matte", elevation: 18, point: { on: "ball", at: [10, -5] } },
     words: "L = k_m L_r + (1 − k_m) Σ: half of the ball's light is what it mirrors, the other half its own. At k_m = 1 nothing of its own is left." },
   { name: "Energy", set: { terms: "physical", kd: 0.5, ks: 0.2, p: 30 },
