@@ -5,7 +5,7 @@ BIN = .venv/bin
 READY = .venv/ready
 LECTURE = $(patsubst scenes/lecture/%.xml,out/%.png,$(wildcard scenes/lecture/*.xml))
 
-.PHONY: demo test check bench docs figures study gallery explorer clean
+.PHONY: demo test check bench docs figures study gallery explorer inverse clean
 
 demo: $(LECTURE)
 	@echo "The lecture's pictures are in $(CURDIR)/out"
@@ -37,6 +37,10 @@ gallery: $(READY)
 # The page, and its picture where there is a Chromium.
 explorer: $(READY)
 	@$(BIN)/python docs/explorer.py
+
+# The pictures of docs/inverse-rendering.md: its examples, run once.
+inverse: $(READY)
+	@$(BIN)/python docs/inverse.py
 
 docs: figures study gallery explorer
 
