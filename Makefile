@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/ready
 
-.PHONY: demo test check docs figures gallery explorer stability study bench clean
+.PHONY: demo test check docs figures gallery explorer inverse stability study bench clean
 
 demo: $(READY)
 	@$(BIN)/phong-bsdf demo -o out
@@ -18,8 +18,9 @@ check: $(READY)
 	@$(BIN)/pyright --pythonpath $(BIN)/python
 	@$(BIN)/pyright --pythonpath $(BIN)/python --pythonversion 3.13
 
-# Builds the pages and measures nothing; figures and tables are in the repository.
+# Builds the pages and measures nothing; figures and tables are in the repository. The gallery shows scenes as they are now.
 docs: $(READY)
+	@$(BIN)/python docs/gallery.py --changed
 	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs out/docs
 	@echo "The documentation is in $(CURDIR)/out/docs/index.html"
 
@@ -34,6 +35,10 @@ gallery: $(READY)
 # Writes the page of docs/explorer, and its picture where there is a Chromium.
 explorer: $(READY)
 	@$(BIN)/python docs/explorer.py
+
+# Runs the examples of docs/inverse-rendering.md once, and draws its pictures.
+inverse: $(READY)
+	@$(BIN)/python docs/inverse.py
 
 # Measures the table and the plot of docs/stability.md: a minute.
 stability: $(READY)

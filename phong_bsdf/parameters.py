@@ -140,7 +140,8 @@ class Parameter:
     def value(self, si, active):
         """The value at `si`, a spectrum; textures clamped to the legal range."""
         value = self._clamp(self.texture.eval(si, active))
-        return value + FAINT if (self._zero or self.varies) and self.differentiated else value
+        # It may be 0: what is differentiated is not looked at.
+        return value + FAINT if self.differentiated else value
 
     def value_1(self, si, active):
         """The value at `si` as one number: the mean over the channels; textures clamped to the legal range."""
@@ -149,10 +150,15 @@ class Parameter:
         return self._clamp(self.texture.eval_1(si, active))
 
     def _clamp(self, value):
-        # fmax and fmin also turn a texture's NaN into a number.
         if not self.varies:
             return value
-        return dr.fmin(dr.fmax(value, 0), self.largest)
+        # fmax and fmin also turn a texture's NaN into a number.
+        clamped = dr.fmin(dr.fmax(value, 0), self.largest)
+        if not self.differentiated:
+            return clamped
+        # At the ends of the range they have no derivative. What is interpolated exceeds 1 by a rounding or two.
+        inside = (value >= 0) & (value <= self.largest * (1 + 1e-6))
+        return dr.replace_grad(clamped, dr.select(inside, value, clamped))
 
     def _check(self, props, name: str, upper: float) -> list[float]:
         """The number or colour that was given, if it was."""

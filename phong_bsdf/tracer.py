@@ -13,6 +13,7 @@ from .dispatch import Dispatch
 from .lights import Dark, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
+from .parameters import FAINT
 from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.
@@ -68,8 +69,10 @@ class Tracer:
         self.ambient = ambient
         self.hide_background = hide_emitters
         self.gradients = gradients
-        # A mirror of weight 0 still has a derivative.
-        self.faintest = FAINTEST if max_depth == -1 else -1 if gradients else 0
+        # Paths end where they carry no more. A mirror of weight 0 still has a derivative: it counts as FAINT then.
+        self.faintest = FAINTEST if max_depth == -1 else 0
+        if gradients:
+            self.faintest = FAINTEST * FAINT if max_depth == -1 else -1
         self.jit = dr.is_jit_v(mi.Float)
 
         # How many surfaces of a path are shaded, and how many of its rays are traced: the
@@ -79,23 +82,27 @@ class Tracer:
         self.most_rays = self.most_hits + (not self.course and self.background is not None)
         self.most_rays = max(self.most_rays, 1)
 
-        self.table = None if gradients or "bsdf calls" in keep else memory.table.of(scene, keep)
+        self._find_materials(memory, keep)
+        # Scalar variants ask each BSDF when they meet it.
+        self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
+        self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited
+
+    def _find_materials(self, memory, keep):
+        """What surfaces are made of: a table where all BSDFs are the package's own, and which delta lobes there are."""
+        self.table = None if self.gradients or "bsdf calls" in keep else memory.table.of(self.scene, keep)
         # A table is of such BSDFs only.
-        self.isotropic = self.table is not None or is_isotropic(scene)
+        self.isotropic = self.table is not None or is_isotropic(self.scene)
         if self.table:
             mirror = self.table.km is not None
             self.deltas = prepared(DeltaLobes(branches=int(mirror), fading=mirror), keep)
         else:
-            self.deltas = delta_lobes(scene, keep)
+            self.deltas = delta_lobes(self.scene, keep)
         self.materials = self.table or Dispatch(self.deltas)
-        if gradients and self.deltas.branches > 1:
+        if self.gradients and self.deltas.branches > 1:
             raise UnsupportedScene(
-                "whitted: no derivatives where a surface both reflects and refracts (dielectric, plastic, a mask over "
-                "a mirror); use mirrorblend or conductor, or the integrator 'path'"
+                "whitted: no derivatives where a surface both reflects and refracts (dielectric, thindielectric), or "
+                "has two mirrors (mask or mirrorblend over another); use a single mirror, or the integrator 'path'"
             )
-        # Scalar variants ask each BSDF when they meet it.
-        self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
-        self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited
 
     def features(self) -> set[str]:
         """Those of `needs.FEATURES` that the kernel holds."""

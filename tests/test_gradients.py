@@ -161,14 +161,16 @@ def moves(physical_names=False, lamps=False):
     return found
 
 
-def truth(scene, move):
-    """Central differences in float64, and the pixels away from silhouettes and the edges of shadows."""
+def truth(scene, move, picture=None, h=1e-6):
+    """Central differences in float64, and the pixels away from silhouettes and the edges of shadows.
 
-    def difference(h):
-        return (oracle.render(move(scene, h), N, N) - oracle.render(move(scene, -h), N, N)) / (2 * h)
-
-    rough, fine = difference(1e-5), difference(1e-6)
-    return fine, np.abs(rough - fine).max(axis=2) <= 1e-3 * np.abs(fine).max()
+    There the differences to both sides of `picture`, that of `scene`, are not the same.
+    """
+    picture = oracle.render(scene, N, N) if picture is None else picture
+    after, before = (oracle.render(move(scene, step), N, N) for step in (h, -h))
+    difference = (after - before) / (2 * h)
+    bend = np.abs(after - 2 * picture + before) / h
+    return difference, bend.max(axis=2) <= 1e-3 * np.abs(difference).max()
 
 
 def moved(scene, key, move):
@@ -212,7 +214,8 @@ def test_backward(case):
     # Room for a step to both sides of 0.
     near = replace(scene, spheres=[replace(s, km=max(s.km, 2e-5)) for s in scene.spheres])
     with mock.patch.object(oracle, "unit_point", reflectances if physical_names else UNIT_POINT):
-        truths = {name: truth(near, move) for name, (_, _, move) in found.items()}
+        picture = oracle.render(near, N, N)
+        truths = {name: truth(near, move, picture) for name, (_, _, move) in found.items()}
     kept = np.all([smooth for _, smooth in truths.values()], axis=0)
     assert kept.mean() > 0.95
     weights = np.random.default_rng(1).uniform(-1, 1, (N, N, 3)) * kept[..., None]
@@ -343,13 +346,14 @@ def test_passes_have_the_gradient_of_one(mode, monkeypatch):
     assert derivative() == pytest.approx(whole, rel=1e-4, abs=1e-6)
 
 
+@pytest.mark.parametrize("case", ("course", "no mirrors"))
 @pytest.mark.parametrize("mode", ("forward", "backward"))
-def test_unlimited_depth(mode):
-    """`max_depth` = -1 has the derivatives of as many bounces as are followed, as far as a pixel shows them."""
+def test_unlimited_depth(mode, case):
+    """`max_depth` = -1 has the derivatives of as many bounces as are followed, those of a mirror of weight 0 too."""
     key, move, _ = moves()["km 2"]
     parts = []
     for depth in (-1, 30):
-        scene = load(SCENE, max_depth=depth)
+        scene = load(CASES[case][0], max_depth=depth)
         parts.append(forward(scene, key, move) if mode == "forward" else gradients(scene, KEYS))
     assert parts[0] == pytest.approx(parts[1], rel=1e-4, abs=1e-5)
 
@@ -403,6 +407,28 @@ def test_textures(name, low, high):
         difference = np.sum(weights * (pictures[1] - pictures[0])) / (2 * step)
         # Differences of float32 pictures; that of p is not linear.
         assert found[texel] == pytest.approx(difference, rel=1e-3)
+
+
+@pytest.mark.parametrize("mode", ("forward", "backward"))
+@pytest.mark.parametrize(("name", "end", "near"), [("kd", 0, 1e-3), ("ks", 0, 1e-3), ("p", 0, 1e-4)])
+def test_textures_at_the_end_of_their_range(name, end, near, mode):
+    """Texels of the value 0 have derivatives, too: those of values close by."""
+    found, key = [], f"wall.bsdf.{name}.data"
+    for value in (end, near):
+        scene = textured(name, np.full((2, 2, 1 if name == "p" else 3), value, np.float32))
+        add = lambda old, h: old + h  # noqa: E731
+        found.append(forward(scene, key, add) if mode == "forward" else gradients(scene, [key]))
+    assert found[0] == pytest.approx(found[1], rel=3e-3, abs=1e-5) and np.any(found[0] != 0)
+
+
+def test_mirror_textures_at_both_ends():
+    """The picture is linear in `km`, and so is what a texture of it has from 0 to 1."""
+    found = []
+    for km in (0.0, 0.5, 1.0):
+        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, 1), km, np.float32))}
+        spheres = [replace(s, km=texture if i == 1 else 0.0) for i, s in enumerate(SCENE.spheres)]
+        found.append(gradients(load(replace(SCENE, spheres=spheres)), ["ball1.bsdf.km.data"]).sum())
+    assert found == pytest.approx([found[1]] * 3, rel=1e-3) and found[1] != 0
 
 
 def triangle(vertices):
