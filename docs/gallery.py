@@ -73,7 +73,8 @@ def entry(path: Path) -> str:
         note = f", the first {SHOWN} of {len(lines)} lines"
         lines = lines[:SHOWN]
     return (
-        f"### {title}\n\n![{title}]({picture_file(path).relative_to(PAGE.parent).as_posix()})\n\n{demo.shows(path)}.\n\n"
+        f"### {title}\n\n![{title}]({picture_file(path).relative_to(PAGE.parent).as_posix()})\n\n"
+        f"{demo.shows(path)}.\n\n"
         f"<details><summary>{name}{note}</summary>\n\n```xml\n" + "\n".join(lines) + "\n```\n\n</details>\n"
     )
 
