@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/ready
 
-.PHONY: demo test check docs figures gallery explorer stability study bench clean
+.PHONY: demo test check docs figures gallery explorer inverse stability study bench clean
 
 demo: $(READY)
 	@$(BIN)/phong-bsdf demo -o out
@@ -35,6 +35,10 @@ gallery: $(READY)
 # Writes the page of docs/explorer, and its picture where there is a Chromium.
 explorer: $(READY)
 	@$(BIN)/python docs/explorer.py
+
+# Runs the examples of docs/inverse-rendering.md once, and draws its pictures.
+inverse: $(READY)
+	@$(BIN)/python docs/inverse.py
 
 # Measures the table and the plot of docs/stability.md: a minute.
 stability: $(READY)
