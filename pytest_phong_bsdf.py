@@ -6,6 +6,7 @@ fixtures; it only chooses the LLVM, which must happen before anything imports Dr
 
 import importlib.util
 import json
+import os
 import re
 import shlex
 import warnings
@@ -166,7 +167,10 @@ class RenderCheck:
         return folder / _file_name(name)
 
     def command(self) -> str:
-        return f"pytest --phong-update-references {shlex.quote(self.node.nodeid)}"
+        # From the folder in which pytest was started: names of tests are from its root.
+        file = os.path.relpath(self.node.path, self.config.invocation_params.dir)
+        _, colons, test = self.node.nodeid.partition("::")
+        return f"pytest --phong-update-references {shlex.quote(file + colons + test)}"
 
     def fail(self, path: Path, words: str, outcome) -> None:
         folder, page = self.config.getoption("--phong-report"), ""

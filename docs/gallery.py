@@ -1,9 +1,10 @@
 """Renders every scene of scenes/ small, and writes docs/gallery.md with the pictures: `make gallery`.
 
-What is said about a scene is the first sentence of its header comment.
+What is said about a scene is the first sentence of its header comment. With `--changed`, as `make docs` has it, only
+scenes that the page shows otherwise, or without a picture, are rendered.
 """
 
-import re
+import sys
 from pathlib import Path
 
 import phong_bsdf  # noqa: F401
@@ -11,7 +12,7 @@ import phong_bsdf  # noqa: F401
 import mitsuba as mi  # isort: skip
 import numpy as np
 
-from phong_bsdf import images, rendering
+from phong_bsdf import demo, images, rendering
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "scenes"
@@ -40,19 +41,13 @@ INTRODUCTION = """\
 
 Every scene of `scenes/`, each with the first sentence of its own description.
 `phong-bsdf render SCENE.xml -o picture.png` makes the pictures at full size; these are {width} pixels wide, made by
-`make gallery`.
+`make docs` where a scene has changed, all of them by `make gallery`.
 """
 
 
 def scenes(folder: str) -> list[Path]:
     """The scenes of a folder; what others include is none."""
     return [path for path in sorted((SCENES / folder).glob("*.xml")) if path.name != "cameras.xml"]
-
-
-def sentence(path: Path) -> str:
-    """The first sentence of the header comment."""
-    comment = re.match(r"<!--(.*?)-->", path.read_text(encoding="utf-8"), re.S)[1]
-    return re.match(r".*?\.(?=\s|$)", " ".join(comment.split()))[0]
 
 
 def picture(path: Path) -> np.ndarray:
@@ -78,7 +73,8 @@ def entry(path: Path) -> str:
         note = f", the first {SHOWN} of {len(lines)} lines"
         lines = lines[:SHOWN]
     return (
-        f"### {title}\n\n![{title}]({picture_file(path).relative_to(PAGE.parent).as_posix()})\n\n{sentence(path)}\n\n"
+        f"### {title}\n\n![{title}]({picture_file(path).relative_to(PAGE.parent).as_posix()})\n\n"
+        f"{demo.shows(path)}.\n\n"
         f"<details><summary>{name}{note}</summary>\n\n```xml\n" + "\n".join(lines) + "\n```\n\n</details>\n"
     )
 
@@ -92,16 +88,23 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def main():
-    """Write the pictures and the page."""
+def changed() -> list[Path]:
+    """The scenes that the page on disk shows otherwise than they are, or without a picture."""
+    there = PAGE.read_text(encoding="utf-8") if PAGE.is_file() else ""
+    everything = [path for folder in FOLDERS for path in scenes(folder)]
+    return [path for path in everything if entry(path) not in there or not picture_file(path).is_file()]
+
+
+def main(only_changed: bool) -> None:
+    """Write the pictures, all or those of changed scenes, and the page."""
     mi.set_variant("llvm_ad_rgb")
     PICTURES.mkdir(parents=True, exist_ok=True)
-    for folder in FOLDERS:
-        for path in scenes(folder):
-            print(path.relative_to(ROOT), flush=True)
-            images.write(picture_file(path), picture(path))
-    images.replace_file(PAGE, page())
+    for path in changed() if only_changed else [path for folder in FOLDERS for path in scenes(folder)]:
+        print(path.relative_to(ROOT), flush=True)
+        images.write(picture_file(path), picture(path))
+    if not PAGE.is_file() or PAGE.read_text(encoding="utf-8") != page():
+        images.replace_file(PAGE, page())
 
 
 if __name__ == "__main__":
-    main()
+    main("--changed" in sys.argv[1:])

@@ -24,8 +24,7 @@ def below(rows: Iterable[np.ndarray]) -> np.ndarray:
 
 def error_map(difference: np.ndarray) -> np.ndarray:
     """A difference in false colours, bright from 0.1 on; linear values, which a PNG file shows in those colours."""
-    colours = page.false_colours(difference, 0.1)
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return images.from_srgb(page.false_colours(difference, 0.1))
 
 
 def insert(name: str, table: str, file: str) -> None:

@@ -63,7 +63,9 @@ def pack(
     Files are packed that lie in the folder `root` (default: the scene's), by whatever path the scene names them.
     BundleError where one does not exist, or lies elsewhere. `contents`, shared between calls, has each file read once.
     """
-    packer = _Packer(Path(path), root, dict(defines or {}), {} if contents is None else contents)
+    packer = _Packer(
+        Path(path), Path(root or Path(path).parent), dict(defines or {}), {} if contents is None else contents
+    )
     main = packer.add_scene(Path(path), ())
     return Bundle(main, packer.texts, packer.files, packer.sources)
 
@@ -108,7 +110,7 @@ def _hashed(content: bytes, suffix: str) -> str:
 @dataclass
 class _Packer:
     scene: Path
-    root: Path | None
+    root: Path
     parameters: dict[str, str]
     contents: dict[Path, tuple[str, bytes]]
     texts: dict[str, bytes] = field(default_factory=dict)
@@ -116,7 +118,7 @@ class _Packer:
     sources: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
-        self.root = Path(self.root or self.scene.parent).resolve()
+        self.root = self.root.resolve()
         if not self.root.is_dir():
             raise BundleError(f"'{self.root}': the root must be a folder")
 
@@ -134,10 +136,10 @@ class _Packer:
             elif node.tag == "path":
                 folders.insert(0, self._folder(node.get("value", ""), folders))
             elif node.tag == "include" and "filename" in node.attrib:
-                file = self._find(node.get("filename"), folders, node)
+                file = self._find(node.get("filename", ""), folders, node)
                 node.set("filename", self.add_scene(file, folders))
             elif node.tag == "spectrum" and "filename" in node.attrib:
-                node.set("filename", self._add_file(node.get("filename"), folders, node))
+                node.set("filename", self._add_file(node.get("filename", ""), folders, node))
             elif node.tag == "string" and node.name == "filename":
                 # The files of plugins are searched for beside the scene, wherever an include names them.
                 node.set("value", self._add_file(node.get("value", ""), [self.scene.parent], node))

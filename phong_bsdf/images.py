@@ -174,6 +174,11 @@ def srgb(colors: np.ndarray) -> np.ndarray:
     return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
 
 
+def from_srgb(encoded: np.ndarray) -> np.ndarray:
+    """The linear values that sRGB encodes as `encoded`, of 0 to 1."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
 def _srgb_colors(image: np.ndarray) -> np.ndarray:
     alpha = 3 if image.shape[-1] > 2 else 1
     return np.concatenate([srgb(image[..., :alpha]), image[..., alpha:]], axis=-1)

@@ -6,6 +6,7 @@ names the file and the line where Mitsuba knows them.
 
 import contextlib
 import re
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -198,7 +199,14 @@ def explain(error: BaseException, path: Path) -> str:
     text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
     text = re.sub(r"^Found unused parameters:\s*- \$", "the scene has no <default> for ", text)
     text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
-    return f"{file}, line {line}: {text}" if line else f"{file}: {text}"
+    said = f"{file}, line {line}: {text}" if line else f"{file}: {text}"
+    return said + f". To make an old scene load: phong-bsdf convert {shlex.quote(str(path))} -o new.xml" * _is_old(path)
+
+
+def _is_old(path: Path) -> bool:
+    """Whether the scene says that it is of Mitsuba 0.x."""
+    beginning = Path(path).read_bytes()[:4096] if Path(path).is_file() else b""
+    return re.search(rb"""<scene\s[^>]*version=["']0\.""", beginning) is not None
 
 
 def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:

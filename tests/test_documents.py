@@ -26,13 +26,15 @@ PROSE = ("text", "math", "{toctree}")
 ELSEWHERE = ("gallery.md", "inverse-rendering.md")
 
 # Pages whose commands take more than a few seconds.
-LONG = ("README.md", "compare.md", "error-vs-time.md", "quickstart.md", "test-authors.md")
+LONG = ("README.md", "clusters.md", "compare.md", "error-vs-time.md", "quickstart.md", "test-authors.md")
 
 # The files that the pages speak of.
 SCENE = """\
 <scene version="3.0.0">
     <default name="max_depth" value="4"/>
     <default name="ks" value="0.6"/>
+    <default name="p" value="20"/>
+    <default name="km" value="0.3"/>
     <integrator type="whitted"><integer name="max_depth" value="$max_depth"/></integrator>
     <sensor type="perspective">
         <transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
@@ -42,9 +44,9 @@ SCENE = """\
     </sensor>
     <emitter type="point"><point name="position" x="2" y="4" z="3"/></emitter>
     <shape type="sphere" id="one"><bsdf type="phong" id="ball">
-        <float name="ks" value="$ks"/><float name="p" value="20"/></bsdf></shape>
+        <float name="ks" value="$ks"/><float name="p" value="$p"/></bsdf></shape>
     <shape type="sphere"><point name="center" x="0" y="-51" z="0"/><float name="radius" value="50"/>
-        <bsdf type="blinnphong" id="floor"/></shape>
+        <bsdf type="mirrorblend"><float name="km" value="$km"/><bsdf type="blinnphong" id="floor"/></bsdf></shape>
 </scene>
 """
 OLD = """\
@@ -260,7 +262,7 @@ def test_links_lead_somewhere(page):
 
 
 def test_every_picture_is_shown_and_made_by_a_command(monkeypatch):
-    """Those in docs/images are what `make figures`, `stability`, `study`, `bench`, `explorer` write, and no others."""
+    """Those in docs/images are what the commands of docs/developing.md write, and no others."""
     monkeypatch.syspath_prepend(ROOT / "docs")
     import figures
     import study
@@ -269,6 +271,7 @@ def test_every_picture_is_shown_and_made_by_a_command(monkeypatch):
     made = {*figures.FIGURES, "stability-value.svg", "explorer.png"}
     made |= {f"study-{name}.{kind}" for name in study.SHOWN for kind in ("png", "svg")}
     made |= {f"speed-{name}.svg" for name in plots.PLOTS}
+    made |= declared("docs/inverse.py", r'write\(IMAGES / "(\S+)"')
     there = {path.name for path in (ROOT / "docs/images").iterdir() if path.is_file()}
     addresses = [address for page in PAGES if page.name != "gallery.md" for address, _ in links(page)]
     shown = {address.rsplit("/", 1)[-1] for address in addresses if "images/" in address}

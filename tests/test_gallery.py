@@ -21,8 +21,19 @@ PAGE = gallery.PAGE.read_text(encoding="utf-8")
 
 
 def test_page_is_current():
-    """`make gallery` would write the same text."""
-    assert gallery.page() == PAGE
+    """`make gallery` would write the same text, and `make docs` has nothing to render."""
+    assert gallery.page() == PAGE and gallery.changed() == []
+
+
+def test_what_changed_is_rendered_again(monkeypatch):
+    """A scene that the page shows otherwise, and one without its picture; the others are left alone."""
+    first, last = SCENES[0], SCENES[-1]
+    entry, file = gallery.entry, gallery.picture_file
+    monkeypatch.setattr(gallery, "entry", lambda path: entry(path) + " more" * (path == first))
+    assert gallery.changed() == [first]
+    monkeypatch.setattr(gallery, "entry", lambda path: "")
+    monkeypatch.setattr(gallery, "picture_file", lambda path: file(path) if path != last else file(path) / "gone")
+    assert gallery.changed() == [last]
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)

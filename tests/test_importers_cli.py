@@ -56,6 +56,13 @@ def phong_bsdf(*args):
     return CliRunner().invoke(main, list(map(str, args)))
 
 
+def test_rendering_an_old_scene_names_the_remedy(folder):
+    """Whoever renders an old scene as it is hears what Mitsuba stumbles over, and of this command."""
+    result = phong_bsdf("render", "old.xml", "-o", "old.png")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert re.fullmatch(r"Error: old.xml, line \d+: .*: phong-bsdf convert old.xml -o new.xml\n", result.stderr)
+
+
 def test_a_scene(folder):
     """Changes, losses, the count of both, and how to render it; then it renders."""
     result = phong_bsdf("convert", "old.xml", "-o", "new.xml")

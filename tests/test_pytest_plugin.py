@@ -74,6 +74,8 @@ def test_a_reference_is_made_and_serves(project):
     assert not (project.path / "references").exists()
     command = re.search(r"Make it with: pytest (.*)", result.stdout.str())[1].split()
     assert command == ["--phong-update-references", "test_it.py::test_ball"]
+    # The same where the folder's parent is pytest's root.
+    assert " ".join(command) in project(f"--rootdir={project.path.parent}").stdout.str()
     result = project(*command, child=True)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*references written*", "*references/test_it/test_ball.exr"])

@@ -55,9 +55,7 @@ class Encoding:
 
     def decode(self, values: np.ndarray) -> np.ndarray:
         """Linear values of encoded ones."""
-        if not self.srgb:
-            return values
-        return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        return images.from_srgb(values) if self.srgb else values
 
     def loss(self, image: np.ndarray) -> np.ndarray:
         """What storing an encoded image (height, width, 3) can take from each pixel, (height, width, 1) or one number.

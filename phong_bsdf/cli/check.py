@@ -112,20 +112,21 @@ def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, 
     scene = bundle.pack(assignment.loaded.path, defines, choice.root)
     there = [i for i, file in enumerate(files) if file.is_file()]
     missing = [i for i in range(len(files)) if i not in there]
-    of_missing = _here(assignment, *([of[i] for i in missing] for of in (files, labels, names)), folder, show)
+    left = ([of[i] for i in missing] for of in (files, labels, names))
+    of_missing = _here(assignment, *left, folder=folder, show=show)
     grades = dict(zip(missing, of_missing, strict=True))
     show("connecting", 0)
     with choice.connected(verbose) as cluster:
         done = checks.run(
             cluster, scene, checks.task(assignment), [files[i] for i in there], [labels[i] for i in there],
-            [names[i] if folder else None for i in there], variant=mi.variant(), seconds=choice.seconds,
+            [names[i] if folder else None for i in there], variant=str(mi.variant()), seconds=choice.seconds,
             on_wait=lambda what: show(what, None),
         )  # fmt: skip
         for number, grade, page in done:
             i = there[number]
             grades[i] = grade
             show(f"checked {len(grades)} of {len(files)}", len(grades) / len(files))
-            if folder:
+            if folder and page:
                 images.replace_file(folder / f"{names[i]}.html", page)
     return [grades[i] for i in range(len(files))]
 

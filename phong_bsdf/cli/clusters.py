@@ -4,6 +4,7 @@ import functools
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,7 +13,7 @@ import click
 class Choice:
     """What `--cluster` and the options that go with it say."""
 
-    where: object
+    where: Any
     seconds: float | None
     root: Path | None
 

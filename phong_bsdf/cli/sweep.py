@@ -78,7 +78,7 @@ class _Table:
                 from ..cluster import sweeps as elsewhere
 
                 yield from elsewhere.run(
-                    connection, self.planned, self.todo, self.folder, variant=mi.variant(), root=choice.root,
+                    connection, self.planned, self.todo, self.folder, variant=str(mi.variant()), root=choice.root,
                     seconds=choice.seconds, on_wait=lambda what: self.show(what, None),
                 )  # fmt: skip
         finally:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from . import work
 
@@ -45,7 +46,8 @@ def address(text: str, tls: tuple[Path | None, Path | None, Path | None] = (None
     for file in filter(None, tls):
         if not file.is_file():
             raise ClusterError(f"'{file}': there is no such file")
-    secure = tuple(tls) if all(tls) else None
+    authority, certificate, key = tls
+    secure = (authority, certificate, key) if authority and certificate and key else None
     kind, _, count = text.partition(":")
     if kind == "local":
         if not (text == "local" or (count.isdigit() and int(count) > 0)):
@@ -137,7 +139,7 @@ class Cluster:
         thread.join(SECONDS)
         return dict(answers)
 
-    def _connected(self, seconds: float):
+    def _connected(self, seconds: float) -> Any:
         from distributed import Client, Security
 
         security = None
@@ -145,7 +147,7 @@ class Cluster:
             ca, certificate, key = map(str, self.where.tls)
             security = Security(tls_ca_file=ca, tls_client_cert=certificate, tls_client_key=key,
                                 require_encryption=True)  # fmt: skip
-        place = {"address": self.local or self.where.url}
+        place: dict[str, Any] = {"address": self.local or self.where.url}
         if self.where.file:
             place = {"scheduler_file": str(self.where.file)}
         try:

@@ -14,6 +14,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from . import work
 from .connection import Cluster, ClusterError, mismatch
@@ -47,7 +48,7 @@ class _Attempt:
 
     order: Order
     number: int
-    future: object
+    future: Any
     started: float | None = None
     worker: str = ""
 

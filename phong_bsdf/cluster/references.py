@@ -58,7 +58,8 @@ def render(
     What fails, or is not reached, is left to `measuring.measure`.
     """
     deadline = time.perf_counter() + time_budget
-    orders, jobs = [], {}
+    orders: list[Order] = []
+    jobs: dict[str, tuple[str, int, int]] = {}
     for reference in planned.run.references:
         for number, spp in enumerate(reference.levels):
             if reference.key in planned.limits and not store.has(reference.key, spp, number):

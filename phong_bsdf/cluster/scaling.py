@@ -79,7 +79,7 @@ def predicted(job: Job, workers: int, costs: Costs | None = None) -> Prediction:
         "too few passes": busy * (rounds - job.passes / workers),
     }
     seconds = start + max(busy * rounds, parts["scheduler and client"])
-    return Prediction(workers, seconds, job.passes * job.seconds / seconds, max(parts, key=parts.get))
+    return Prediction(workers, seconds, job.passes * job.seconds / seconds, max(parts, key=parts.__getitem__))
 
 
 def pass_seconds(total: float, workers: int, size_bytes: int, costs: Costs | None = None) -> float:

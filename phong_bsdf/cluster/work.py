@@ -8,7 +8,9 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -55,7 +57,7 @@ class Result:
     """What became of an order: a value, or the error that its function raised."""
 
     name: str
-    value: object
+    value: Any
     error: str | None
     seconds: float
     worker: str
@@ -70,8 +72,8 @@ def environment() -> dict[str, str]:
     llvm = dr.detail.llvm_version()
     return {
         "phong_bsdf": __version__,
-        "Mitsuba": mi.__version__,
-        "Dr.Jit": dr.__version__,
+        "Mitsuba": str(mi.__version__),
+        "Dr.Jit": metadata.version("drjit"),
         "NumPy": np.__version__,
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "LLVM": str(llvm[0]) if llvm[0] > 0 else "none",

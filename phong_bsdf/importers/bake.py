@@ -40,7 +40,7 @@ def decode(image: np.ndarray, gamma: float | None = None) -> np.ndarray:
     x = color.astype(np.float32) / np.iinfo(image.dtype).max
     if gamma is not None:
         return x**gamma
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return images.from_srgb(x)
 
 
 def alpha(image: np.ndarray) -> np.ndarray | None:

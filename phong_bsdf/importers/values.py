@@ -3,6 +3,9 @@
 import math
 import re
 
+import numpy as np
+
+from .. import images
 from .records import ConversionError, Journal
 from .xmlfile import Node
 
@@ -80,7 +83,7 @@ def _rewrite_rgb(node: Node, journal: Journal) -> None:
     if len(rgb) not in (1, 3):
         raise _refuse(node, f"<{node.tag}> needs 1 or 3 numbers, got {len(rgb)}")
     if encoded:
-        rgb = [_linear(c) for c in rgb]
+        rgb = images.from_srgb(np.array(rgb)).tolist()
     new = to_text(rgb)
     if encoded or text.startswith("#"):
         what = f'<{node.tag} value="{text}"> is now <rgb value="{new}">'
@@ -141,10 +144,6 @@ def _hex(text: str, node: Node) -> list[float]:
     if not re.fullmatch(r"#[0-9a-fA-F]{6}", text):
         raise _refuse(node, f"'{text[:20]}' should be # and six hexadecimal digits")
     return [int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-
-
-def _linear(c: float) -> float:
-    return c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
 
 
 def _refuse(node: Node, message: str) -> ConversionError:
