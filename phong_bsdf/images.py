@@ -72,8 +72,7 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
 
 def read_exr(path: Path) -> np.ndarray:
     """The image in an EXR file, shape (height, width, channels), float32, channels in the order Y or R, G, B, A."""
-    import OpenEXR
-
+    OpenEXR = _openexr()
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = file.channels()
         names = [name for name in ("Y", "R", "G", "B", "A") if name in channels]
@@ -82,8 +81,7 @@ def read_exr(path: Path) -> np.ndarray:
 
 def read_metadata(path: Path) -> dict[str, str]:
     """The string attributes of an EXR file."""
-    import OpenEXR
-
+    OpenEXR = _openexr()
     with OpenEXR.File(str(path), header_only=True) as file:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
@@ -124,8 +122,7 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 
 
 def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> None:
-    import OpenEXR
-
+    OpenEXR = _openexr()
     names = CHANNELS[image.shape[2]]
     # Three and four channels as they lie in memory: large pictures are not copied.
     together = len(names) > 2
@@ -141,6 +138,17 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> Non
     # The library does not notice a full disk.
     with OpenEXR.File(path) as file:
         file.channels()
+
+
+def _openexr():
+    """The library, imported late; Ctrl-C meanwhile, which it turns into an error of its own, is Ctrl-C again."""
+    try:
+        import OpenEXR
+    except ImportError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        raise
+    return OpenEXR
 
 
 def _checksum(image: np.ndarray) -> str:

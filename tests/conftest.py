@@ -1,15 +1,20 @@
 """Every test starts in llvm_ad_rgb, and leaves no scene behind: live BSDFs slow every later kernel."""
 
 import gc
+import signal
 
 import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
 
 import mitsuba as mi  # isort: skip
 import browsing
+import dask_processes
 import pytest
 
 # For what test modules build when they are imported.
 mi.set_variant("llvm_ad_rgb")
+
+# Seconds that a test of processes may take on a machine that is busy with other things.
+LONGEST = 300
 
 CPU_VARIANTS = [name for name in mi.variants() if name.startswith(("scalar", "llvm"))]
 
@@ -35,6 +40,27 @@ def browser():
     """A Chromium of the system."""
     with browsing.launched() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """A Dask scheduler and two workers, of which tests kill one or the other: they come back."""
+    with dask_processes.processes(tmp_path_factory.mktemp("two"), 2) as group:
+        yield group
+
+
+@pytest.fixture
+def limited():
+    """A test that waits for other processes fails after some minutes, whatever it waits for."""
+
+    def fail(*_):
+        pytest.fail(f"not done after {LONGEST} s")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(LONGEST)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture(params=CPU_VARIANTS)

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import os
+import random
+import socket
 import subprocess
 import sys
 import time
@@ -13,9 +15,14 @@ import psutil
 TESTS = Path(__file__).parent
 
 # Processes start in some seconds; on a busy machine in many.
-PATIENCE = 60
+PATIENCE = 120
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)]),
+    # A task over which workers die is given up after two, not four.
+    "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+}
 
 
 def until(condition, seconds=PATIENCE):
@@ -27,11 +34,17 @@ def until(condition, seconds=PATIENCE):
     return value
 
 
+def python(module, *arguments, inside=(), **options):
+    """A process that runs a module; `inside`: a command that it runs in."""
+    words = [*inside, sys.executable, "-m", "bound", module, *arguments]
+    return subprocess.Popen([*map(str, words)], env=ENVIRONMENT, **options)
+
+
 def end(process: subprocess.Popen):
     """A process and its children."""
-    with contextlib.suppress(psutil.NoSuchProcess):
-        family = psutil.Process(process.pid)
-        for member in [*family.children(recursive=True), family]:
+    # The number of one that has ended may be that of another by now.
+    if process.poll() is None:
+        for member in [*psutil.Process(process.pid).children(recursive=True), process]:
             with contextlib.suppress(psutil.NoSuchProcess):
                 member.kill()
     process.wait()
@@ -39,18 +52,26 @@ def end(process: subprocess.Popen):
         process.stdout.close()
 
 
+def free_port():
+    """One that no connection gets by chance, now or later."""
+    for port in random.sample(range(20000, 32000), 100):
+        with contextlib.suppress(OSError), socket.socket() as tried:
+            tried.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("no free port")
+
+
 class Processes:
     """The processes of one cluster."""
 
-    def __init__(self, folder: Path, *options, inside=(), host="127.0.0.1"):
-        """`options` for all of them; `inside`: a command that they run in."""
+    def __init__(self, folder: Path, *options, host="127.0.0.1"):
+        """`options` for all of them."""
         self.folder, self.file, self.started = folder, folder / "scheduler.json", []
-        self.options, self.inside, self.host = options, inside, host
+        self.options, self.host = options, host
 
-    def start(self, *command, inside=None):
-        words = [*(self.inside if inside is None else inside), sys.executable, "-m", "dask", *map(str, command)]
+    def start(self, *command, inside=()):
         with open(self.folder / f"{len(self.started)}.log", "wb") as log:
-            self.started.append(subprocess.Popen(words, env=ENVIRONMENT, stdout=log, stderr=log))
+            self.started.append(python("dask", *command, inside=inside, stdout=log, stderr=log))
         return self.started[-1]
 
     def scheduler(self, port=0):
@@ -60,7 +81,7 @@ class Processes:
         until(self.file.is_file)
         return started
 
-    def worker(self, host=None, inside=None):
+    def worker(self, host=None, inside=()):
         return self.start("worker", self.url, "--nthreads", 1, "--no-dashboard", "--host", host or self.host,
                           "--local-directory", self.folder, *self.options, inside=inside)  # fmt: skip
 
@@ -74,11 +95,11 @@ class Processes:
 
 
 @contextlib.contextmanager
-def processes(folder, workers, *options):
+def processes(folder, workers, *options, port=0):
     """A scheduler and some workers; ended in any case."""
     group = Processes(folder, *options)
     try:
-        group.scheduler()
+        group.scheduler(port)
         for _ in range(workers):
             group.worker()
         yield group

@@ -12,10 +12,11 @@ def double(path, number):
 
 
 def told(path, folder, name, seconds=0.0):
-    """Says by a file that it began, and where; ends when it is allowed to, or after some seconds."""
+    """Says by a file that it began, and where; ends when all or it alone may, or after some seconds."""
     (Path(folder) / f"{name}.{os.getpid()}").touch()
+    allowed = [Path(folder) / "go", Path(folder) / f"go-{name}"]
     end = time.monotonic() + seconds
-    while not (Path(folder) / "go").exists() and time.monotonic() < end:
+    while not any(path.exists() for path in allowed) and time.monotonic() < end:
         time.sleep(0.02)
     return name
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -10,7 +11,7 @@ import errands
 import mitsuba as mi
 import psutil
 import pytest
-from dask_processes import PATIENCE, processes, until
+from dask_processes import ENVIRONMENT, PATIENCE, free_port, processes, until
 
 import phong_bsdf
 from phong_bsdf import bundle
@@ -18,14 +19,9 @@ from phong_bsdf.cluster import connection, orders, work
 from phong_bsdf.cluster.connection import ClusterError, address, connected
 from phong_bsdf.cluster.orders import Order, Orders
 
+pytestmark = pytest.mark.usefixtures("limited")
+
 SCENE = Path(__file__).parent.parent / "scenes/course/textured.xml"
-
-
-@pytest.fixture(scope="module")
-def two(tmp_path_factory):
-    """A scheduler and two workers, of which tests kill one or the other: they come back."""
-    with processes(tmp_path_factory.mktemp("two"), 2) as group:
-        yield group
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +71,10 @@ def begun(folder):
         ("local:x", "at least one process"),
         ("somewhere", "neither local"),
         ("tls://a:1", "belong together"),
+        ("tcp://127.0.0.1", "tcp://host:port"),
+        ("tcp://a:b", "tcp://host:port"),
+        ("tcp://a:70000", "tcp://host:port"),
+        ("http://a:1", "tcp://host:port"),
         (__file__, "no scheduler file"),
     ],
 )
@@ -170,10 +170,12 @@ def test_worker_is_killed(two, scene, tmp_path):
 def test_worker_hangs(two, scene, tmp_path):
     """A process that is stopped is given up after some seconds: another takes its place, its order is done."""
     with connected(address(two.url)) as cluster:
-        until(lambda: sum(cluster.workers().values()) == 2)
-        running = Running(cluster, told(scene, tmp_path, 4, seconds=0.5), seconds=3.0)
-        hung = next(iter(until(lambda: begun(tmp_path)).values()))
+        running = Running(cluster, told(scene, tmp_path, 4), seconds=3.0)
+        # The client must know that it has begun.
+        name = until(lambda: [a.order.name for a in list(running.run.running.values()) if a.started])[0]
+        hung = begun(tmp_path)[name]
         os.kill(hung, signal.SIGSTOP)
+        (tmp_path / "go").touch()
         assert running.values() == [f"n{i}" for i in range(4)]
         until(lambda: not psutil.pid_exists(hung))
 
@@ -217,18 +219,20 @@ def test_worker_joins_late(scene, tmp_path):
 @pytest.mark.slow
 def test_scheduler_is_restarted(scene, tmp_path):
     """What was finished stays; the rest is done when scheduler and workers are there again."""
-    with processes(tmp_path, 1) as group, connected(address(group.url)) as cluster:
-        port = group.url.rpartition(":")[2]
-        running = Running(cluster, [Order("d", scene, errands.double, (1,)), *told(scene, tmp_path, 3)])
-        until(lambda: len(running.results) == 1 and begun(tmp_path))
+    port = free_port()
+    with processes(tmp_path, 1, port=port) as group, connected(address(group.url)) as cluster:
+        running = Running(cluster, told(scene, tmp_path, 4))
+        (first,) = until(lambda: begun(tmp_path))
+        (tmp_path / f"go-{first}").touch()
+        until(lambda: len(running.results) == 1 and len(begun(tmp_path)) == 2)
         group.end()
         until(lambda: any("waiting for tcp" in wait for wait in running.waits))
         group.scheduler(port)
         group.worker()
-        until(lambda: len(list(tmp_path.glob("n*.*"))) == 2)
+        until(lambda: len(list(tmp_path.glob("n*.*"))) == 3)
         (tmp_path / "go").touch()
-        running.thread.join(PATIENCE)
-        assert sorted(str(r.value) for r in running.results) == ["2", "n0", "n1", "n2"], running.error
+        assert running.values() == [f"n{i}" for i in range(4)]
+        assert len(list(tmp_path.glob(f"{first}.*"))) == 1
 
 
 @pytest.mark.slow
@@ -241,4 +245,24 @@ def test_local_cluster_leaves_nothing():
         family = set(psutil.Process().children(recursive=True)) - before
         family = [member for member in family if "resource_tracker" not in " ".join(member.cmdline())]
         assert family
-    until(lambda: not any(member.is_running() for member in family), 20)
+    until(lambda: not any(member.is_running() for member in family))
+
+
+@pytest.mark.slow
+def test_local_cluster_that_does_not_end(monkeypatch):
+    """What takes too long to end is killed, and is no error: the pictures are there."""
+    with connected(address("local:1")) as cluster:
+        ids = [nanny.pid for nanny in cluster.local.workers.values()]
+        close = cluster.local.close
+        monkeypatch.setattr(cluster.local, "close", lambda timeout: close(timeout=1e-3))
+    until(lambda: not any(psutil.pid_exists(number) for number in ids))
+
+
+@pytest.mark.slow
+def test_script_that_is_imported_by_its_own_processes(tmp_path):
+    """Without `if __name__ == '__main__'` a local cluster cannot start: an error says so."""
+    script = tmp_path / "script.py"
+    script.write_text("from phong_bsdf.cluster.connection import address, connected\n"
+                      "with connected(address('local:1')): pass\n")  # fmt: skip
+    ran = subprocess.run([sys.executable, script], env=ENVIRONMENT, capture_output=True, text=True, timeout=PATIENCE)
+    assert "ClusterError: --cluster local: its processes did not start. If a script" in ran.stderr

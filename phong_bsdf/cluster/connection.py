@@ -4,6 +4,8 @@ import contextlib
 import json
 import logging
 import os
+import re
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -56,21 +58,29 @@ def address(text: str, tls: tuple[Path | None, Path | None, Path | None] = (None
             raise ClusterError("--cluster local stays on this machine; it takes no --tls options")
         return Address(local=int(count or 0))
     if "://" in text:
+        _check_url(text, "--cluster")
         if text.startswith("tls://") != bool(secure):
             raise ClusterError("--cluster: tls://host:port and the three --tls options belong together")
         return Address(url=text, tls=secure)
     if Path(text).is_file():
         try:
-            if not json.loads(Path(text).read_text(encoding="utf-8"))["address"]:
-                raise KeyError
+            url = str(json.loads(Path(text).read_text(encoding="utf-8"))["address"])
         except (ValueError, KeyError, TypeError):
             raise ClusterError(
                 f"'{text}' is no scheduler file, as `dask scheduler --scheduler-file` writes it"
             ) from None
+        _check_url(url, f"the scheduler file '{text}'")
         return Address(file=Path(text), tls=secure)
     raise ClusterError(
         f"--cluster: '{text}' is neither local, local:N, tcp://host:port, tls://host:port nor a scheduler file"
     )
+
+
+def _check_url(url: str, who: str) -> None:
+    # Dask would wait for long, and then tell it in its own words.
+    port = re.fullmatch(r"(?:tcp|tls)://[^/\s]+:(\d{1,5})/?", url)
+    if not port or not 0 < int(port[1]) < 2**16:
+        raise ClusterError(f"{who}: '{url}' should be tcp://host:port or tls://host:port")
 
 
 def mismatch(who: str, different: str) -> ClusterError:
@@ -122,7 +132,7 @@ class Cluster:
         with contextlib.suppress(TimeoutError, OSError):
             self.client.close(timeout=2)
         if self.local is not None:
-            self.local.close(timeout=5)
+            _end(self.local)
 
     def _asked(self, question: Callable[[], dict]) -> dict:
         """The answer, or nothing after some seconds: a worker that hangs must not keep the others."""
@@ -161,26 +171,60 @@ class Cluster:
 def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
     """A cluster whose versions are those of this process. A local one is started, and ended."""
     try:
-        from distributed import LocalCluster
+        import distributed  # noqa: F401
     except ImportError:
         raise ClusterError(f"--cluster needs dask.distributed; {INSTALL}") from None
     if not verbose:
         # Lost workers and schedulers are told by this package, in a line.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    local = None
-    if where.local is not None:
-        local = LocalCluster(
-            n_workers=where.local or max((os.cpu_count() or 2) // 2, 1), threads_per_worker=1, processes=True,
-            host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
-            silence_logs=logging.WARNING if verbose else logging.CRITICAL, preload=f"{__package__}.local",
-        )  # fmt: skip
+    local = None if where.local is None else _started(where.local or max((os.cpu_count() or 2) // 2, 1), verbose)
     cluster = None
     try:
         cluster = Cluster(where, local)
         cluster.check()
         yield cluster
     finally:
-        if cluster is not None:
-            cluster.close()
-        elif local is not None:
-            local.close(timeout=5)
+        with _uninterrupted():
+            if cluster is not None:
+                cluster.close()
+            elif local is not None:
+                _end(local)
+
+
+def _started(count: int, verbose: bool):
+    """A local cluster of so many processes."""
+    from distributed import LocalCluster
+
+    try:
+        return LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
+            dashboard_address="127.0.0.1:0", memory_limit=0, preload=f"{__package__}.local",
+            silence_logs=logging.WARNING if verbose else logging.CRITICAL,
+        )  # fmt: skip
+    except RuntimeError:
+        raise ClusterError("--cluster local: its processes did not start. If a script starts them, it must do so under "
+                           "`if __name__ == '__main__':`, since they import it, too") from None  # fmt: skip
+
+
+def _end(local) -> None:
+    """End a local cluster; processes that take too long over it are killed."""
+    ids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
+    with contextlib.suppress(TimeoutError):
+        local.close(timeout=5)
+        return
+    for number in ids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Inside, which are some seconds, another Ctrl-C does nothing: processes would stay behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
