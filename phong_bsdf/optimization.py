@@ -22,17 +22,21 @@ EXPONENTS = {"p": (1e-2, 1e7), "exponent": (1e-2, 1e7)}
 FRACTIONS = ("km", "diffuse_reflectance", "specular_reflectance")
 POSITIVE = ("kd", "ks", "intensity", "irradiance", "radiance", "ambient")
 
+# How the keys of those end that a function recorded by `dr.freeze` cannot change: Mitsuba 3.9 reads positions when they
+# change, and ends the process where a change of a texture is replayed.
+NOT_FROZEN = ("data", "position", "vertex_positions")
+
 
 class Unknown:
     """The parameters `keys` of a scene, held by the optimiser `opt` in the form in which they are optimised.
 
     `opt`: one of Mitsuba's (`mi.ad.Adam`, `mi.ad.SGD`); it gets an entry for each key, which starts at the value in
     `params`. Exponents (`p`, `exponent`) are held as their natural logarithm. Raises KeyError for keys that the
-    scene does not have.
+    scene does not have; `keys` may be a single one.
     """
 
     def __init__(self, opt, params, keys):
-        self.opt, self.keys = opt, list(keys)
+        self.opt, self.keys = opt, [keys] if isinstance(keys, str) else list(keys)
         missing = [key for key in self.keys if key not in params]
         if missing:
             raise KeyError(
@@ -49,13 +53,13 @@ class Unknown:
     def apply(self, scene):
         """Brings what the optimiser holds into the legal range and into `scene`; returns the scene's parameters.
 
-        Call it at the start of each step, and once in the end. Raises ValueError for textures in a function that
-        `dr.freeze` records: Mitsuba 3.9 ends the process at a later step.
+        Call it at the start of each step, and once in the end. Raises ValueError for textures and positions in a
+        function that `dr.freeze` records.
         """
         params = mi.traverse(scene)
         for key in self.keys:
-            if key.endswith(".data") and dr.flag(dr.JitFlag.FreezingScope):
-                raise ValueError(f"optimization: '{key}' is a texture, which dr.freeze cannot update; call it unfrozen")
+            if key.split(".")[-1] in NOT_FROZEN and dr.flag(dr.JitFlag.FreezingScope):
+                raise ValueError(f"optimization: dr.freeze cannot change '{key}'; call the step without it")
             self.opt[key] = dr.clip(dr.detach(self.opt[key]), *bounds(key))
             params[key] = self._shown(key, self.opt[key])
         params.update()

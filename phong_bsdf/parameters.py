@@ -149,10 +149,15 @@ class Parameter:
         return self._clamp(self.texture.eval_1(si, active))
 
     def _clamp(self, value):
-        # fmax and fmin also turn a texture's NaN into a number.
         if not self.varies:
             return value
-        return dr.fmin(dr.fmax(value, 0), self.largest)
+        # fmax and fmin also turn a texture's NaN into a number.
+        clamped = dr.fmin(dr.fmax(value, 0), self.largest)
+        if not self.differentiated:
+            return clamped
+        # At the ends of the range they have no derivative. What is interpolated exceeds 1 by a rounding or two.
+        inside = (value >= 0) & (value <= self.largest * (1 + 1e-6))
+        return dr.replace_grad(clamped, dr.select(inside, value, clamped))
 
     def _check(self, props, name: str, upper: float) -> list[float]:
         """The number or colour that was given, if it was."""

@@ -90,8 +90,8 @@ class Tracer:
         self.materials = self.table or Dispatch(self.deltas)
         if gradients and self.deltas.branches > 1:
             raise UnsupportedScene(
-                "whitted: no derivatives where a surface both reflects and refracts (dielectric, plastic, a mask over "
-                "a mirror); use mirrorblend or conductor, or the integrator 'path'"
+                "whitted: no derivatives where a surface both reflects and refracts (dielectric, thindielectric), or "
+                "has two mirrors (mask or mirrorblend over another); use a single mirror, or the integrator 'path'"
             )
         # Scalar variants ask each BSDF when they meet it.
         self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1

@@ -408,6 +408,28 @@ def test_textures(name, low, high):
         assert found[texel] == pytest.approx(difference, rel=1e-3)
 
 
+@pytest.mark.parametrize("mode", ("forward", "backward"))
+@pytest.mark.parametrize(("name", "end", "near"), [("kd", 0, 1e-3), ("ks", 0, 1e-3), ("p", 0, 1e-4)])
+def test_textures_at_the_end_of_their_range(name, end, near, mode):
+    """Texels of the value 0 have derivatives, too: those of values close by."""
+    found, key = [], f"wall.bsdf.{name}.data"
+    for value in (end, near):
+        scene = textured(name, np.full((2, 2, 1 if name == "p" else 3), value, np.float32))
+        add = lambda old, h: old + h  # noqa: E731
+        found.append(forward(scene, key, add) if mode == "forward" else gradients(scene, [key]))
+    assert found[0] == pytest.approx(found[1], rel=3e-3, abs=1e-5) and np.any(found[0] != 0)
+
+
+def test_mirror_textures_at_both_ends():
+    """The picture is linear in `km`, and so is what a texture of it has from 0 to 1."""
+    found = []
+    for km in (0.0, 0.5, 1.0):
+        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, 1), km, np.float32))}
+        spheres = [replace(s, km=texture if i == 1 else 0.0) for i, s in enumerate(SCENE.spheres)]
+        found.append(gradients(load(replace(SCENE, spheres=spheres)), ["ball1.bsdf.km.data"]).sum())
+    assert found == pytest.approx([found[1]] * 3, rel=1e-3) and found[1] != 0
+
+
 def triangle(vertices):
     """One triangle that fills the picture, lit from two sides."""
     mesh = mi.Mesh("wall", 3, 1, props=mesh_properties())

@@ -77,10 +77,16 @@ def test_unknown_keys_are_named():
         Unknown(mi.ad.SGD(lr=1), mi.traverse(scene), ["ball.kd"])
 
 
-def test_frozen_textures_are_refused():
-    """An error, where Mitsuba would end the process."""
+def test_a_single_key():
+    """Need not be in a list."""
+    assert Unknown(mi.ad.SGD(lr=1), mi.traverse(ball()), KD).keys == [KD]
+
+
+@pytest.mark.parametrize("key", ("ball.bsdf.nested_bsdf.kd.data", "lamp.position"))
+def test_what_cannot_be_frozen_is_refused(key):
+    """An error that names it, where Mitsuba would end the process or say what it cannot read."""
     scene, opt = ball(kd={"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, 3), 0.5))}), mi.ad.SGD(lr=1)
-    unknown = Unknown(opt, mi.traverse(scene), ["ball.bsdf.nested_bsdf.kd.data"])
+    unknown = Unknown(opt, mi.traverse(scene), [key])
 
     @dr.freeze
     def step(scene, opt):
@@ -88,7 +94,19 @@ def test_frozen_textures_are_refused():
 
     with pytest.raises(RuntimeError) as error:
         step(scene, opt)
-    assert "is a texture, which dr.freeze cannot update" in f"{error.value}{error.value.__cause__}"
+    assert f"dr.freeze cannot change '{key}'" in f"{error.value}{error.value.__cause__}"
+
+
+def test_texels_leave_the_end_of_their_range():
+    """What a step has brought to 0 is not stuck there."""
+    dark = {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.zeros((2, 2, 3)))}
+    picture, scene, opt = mi.render(ball(kd=0.5)), ball(kd=dark), mi.ad.Adam(lr=0.1)
+    key = "ball.bsdf.nested_bsdf.kd.data"
+    unknown = Unknown(opt, mi.traverse(scene), key)
+    for _ in range(40):
+        dr.backward(dr.mean(dr.square(mi.render(scene, unknown.apply(scene)) - picture), axis=None))
+        opt.step()
+    assert np.array(unknown.value(key)) == pytest.approx(0.5, abs=0.1)
 
 
 # The page ------------------------------------------------------------------------------------------------
