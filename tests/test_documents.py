@@ -246,6 +246,13 @@ def test_the_readmes_figures_are_those_of_the_speed_page():
     assert f"| {max(errors, key=float)} | 1 (" in readme
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_measured_tables_are_filled_in(page):
+    """Between the marks of each table, and so of each benchmark, there is one."""
+    for name, table in re.findall(r"^<!-- (?!end of)([\w -]+) -->\n(.*?)^<!-- end of ", page.read_text(), re.M | re.S):
+        assert table.startswith("```text\n") and len(table.splitlines()) > 4, name
+
+
 # Links and figures --------------------------------------------------------------------------------------------
 
 
