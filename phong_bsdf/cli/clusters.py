@@ -1,7 +1,6 @@
 """The options of commands that can do their work on a cluster."""
 
 import functools
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +15,11 @@ class Choice:
     seconds: float | None
     root: Path | None
 
-    @contextmanager
     def connected(self, verbose: bool):
-        """The cluster; ValueError where it is not there or not fit."""
+        """The cluster, inside `with`; ValueError where it is not there or not fit."""
         from ..cluster import connection
 
-        with connection.connected(self.where, verbose) as cluster:
-            yield cluster
+        return connection.connected(self.where, verbose)
 
 
 def cluster_options(command):
