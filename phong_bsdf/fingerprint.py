@@ -5,7 +5,7 @@ Two machines, and a scene and its copy elsewhere, have the same fingerprint.
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -25,13 +25,15 @@ def versions() -> str:
     return f"phong_bsdf {__version__}, Mitsuba {mi.__version__}, Dr.Jit {metadata.version('drjit')}"
 
 
-def scene_hash(path: Path, state) -> str:
+def scene_hash(path: Path, state, hashed: Callable[[Path], str] | None = None) -> str:
     """Of all that a parsed scene says, its defines put in, and of the content of every file that it names.
 
     Ids, numbers of samples and sizes of films are left out, and so are the names of files. `state`
-    comes from `rendering.parse(path, merge=False)`. ValueError where a file cannot be read.
+    comes from `rendering.parse(path, merge=False)`. ValueError where a file cannot be read. `hashed`: `file_hash`,
+    or what remembers its results.
     """
-    files = {(index, key): file_hash(file) for index, key, file in named_files(path, state)}
+    hashed = hashed or file_hash
+    files = {(index, key): hashed(file) for index, key, file in named_files(path, state)}
     lines = []
     for index, node in enumerate(state.nodes):
         said = sorted(set(node.props.keys()) - LEFT_OUT.get(node.type, set()))

@@ -1,12 +1,13 @@
 """A scene under every combination of some parameters: planned, rendered one by one, told in rows."""
 
+import functools
 import gc
 import itertools
 import json
 import math
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -83,11 +84,13 @@ def plan(path: Path, defines: Sequence[tuple[str, str]], settings: Settings | No
         raise ValueError(f"these are {math.prod(map(len, lists))} combinations; a sweep has at most {MOST}")
     varied = {name for name, listed in zip(names, lists, strict=True) if len(listed) > 1} or set(names)
     settings, rows = settings or Settings(), []
+    # Large meshes are read once.
+    hashed = functools.cache(fingerprint.file_hash)
     for chosen in itertools.product(*lists):
         pairs = tuple(zip(names, chosen, strict=True))
         row = Row(pairs, file_name([pair for pair in pairs if pair[0] in varied]))
         try:
-            rows.append(replace(row, key=_key(path, dict(pairs), settings)))
+            rows.append(replace(row, key=_key(path, dict(pairs), settings, hashed)))
         except rendering.SceneError as error:
             rows.append(replace(row, error=str(error)))
     if all(row.error for row in rows):
@@ -163,8 +166,8 @@ def _item(text: str, whole: str) -> list[str]:
     return [f"{value:.6g}" for value in spaced(first, last, count)]
 
 
-def _key(path: Path, defines: Mapping[str, str], settings: Settings) -> str:
+def _key(path: Path, defines: Mapping[str, str], settings: Settings, hashed: Callable[[Path], str]) -> str:
     state = rendering.parse(path, defines, merge=False)
     # Beside the hash, which leaves sizes and samples out, the whole text.
-    said = [fingerprint.scene_hash(path, state), mi.parser.write_string(state)]
+    said = [fingerprint.scene_hash(path, state, hashed), mi.parser.write_string(state)]
     return passes.digest([*said, asdict(settings), mi.variant(), fingerprint.versions()])

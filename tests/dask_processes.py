@@ -78,7 +78,8 @@ class Processes:
         self.file.unlink(missing_ok=True)
         started = self.start("scheduler", "--host", self.host, "--port", port, "--no-dashboard",
                              "--scheduler-file", self.file, *self.options)  # fmt: skip
-        until(self.file.is_file)
+        # Dask writes it in place.
+        until(lambda: self.file.is_file() and self.file.read_text().rstrip().endswith("}"))
         return started
 
     def worker(self, host=None, inside=()):

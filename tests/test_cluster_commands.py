@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from dask_processes import PATIENCE, Processes, end, processes, python, until
 
 from phong_bsdf import images
-from phong_bsdf.cli import main
+from phong_bsdf.cli import clusters, main
 from phong_bsdf.cluster.connection import address, connected
 
 pytestmark = pytest.mark.usefixtures("limited")
@@ -62,6 +62,18 @@ def same(alone, folder):
     ours, theirs = passes(folder / "passes"), passes(alone / "passes")
     assert [p.name for p in ours] == [p.name for p in theirs] and len(ours) == 8
     return all(np.array_equal(images.read_exr(a), images.read_exr(b)) for a, b in zip(ours, theirs, strict=True))
+
+
+def test_waiting_is_said_without_a_bar(monkeypatch, capsys):
+    """In a batch job that waits for workers, a line says so, after some seconds and once."""
+    shown = []
+    wait = clusters.Choice(None, None, None).waiting(lambda what, share: shown.append(what))
+    wait("waiting for workers")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(clusters, "QUIET", 0)
+    for _ in range(3):
+        wait("waiting for workers")
+    assert capsys.readouterr().err == "Waiting for workers\n" and len(shown) == 4
 
 
 @pytest.mark.slow
@@ -155,7 +167,7 @@ def test_pictures_are_checked(two, tmp_path):
     arguments = ("check", *pictures, scene, "--size", "60x48", "--linear")
     here = run(*arguments, "--html", tmp_path / "here")
     there = run(*arguments, "--html", tmp_path / "there", "--cluster", two.url)
-    assert (there.exit_code, there.output) == (here.exit_code, here.output) and here.exit_code == 1
+    assert (there.exit_code, there.stdout) == (here.exit_code, here.stdout) and here.exit_code == 1
     files = [sorted(p.name for p in (tmp_path / name).iterdir()) for name in ("here", "there")]
     assert files[0] == files[1] and len(files[0]) == 5
 

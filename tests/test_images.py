@@ -1,5 +1,7 @@
 """Files <-> arrays."""
 
+import sys
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -70,3 +72,17 @@ def test_unwritable_paths_are_named_before_work_is_done(tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             images.check_writable(path)
+
+
+def test_ctrl_c_while_the_library_is_imported(monkeypatch, tmp_path):
+    """Is Ctrl-C, though the library makes an ImportError of it."""
+
+    class Interrupted:
+        def find_spec(self, name, *_):
+            if name == "OpenEXR":
+                raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.delitem(sys.modules, "OpenEXR")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    with pytest.raises(KeyboardInterrupt):
+        images.read_exr(tmp_path / "a.exr")

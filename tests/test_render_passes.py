@@ -221,7 +221,7 @@ def test_progress_on_a_terminal():
 def test_kill_in_the_middle(whole):
     """kill -9, several times, at moments that nobody chose: the picture is the same, bit by bit."""
     resume, counts = [], []
-    for count in (3, 20, 41):
+    for count in (3, 11, 20):
         process = start("-o", "a.exr", *LONG, "--passes", "d", *resume)
         wait_for_passes(process, count)
         process.kill()
@@ -230,7 +230,7 @@ def test_kill_in_the_middle(whole):
         resume = ["--resume"]
     assert counts[-1] < 64
     said = render("-o", "a.exr", *LONG, "--passes", "d", "--resume").stdout
-    assert 41 <= int(re.search(r"(\d+) of them from before", said)[1]) == counts[-1], said
+    assert 20 <= int(re.search(r"(\d+) of them from before", said)[1]) == counts[-1], said
     assert Path("a.exr").read_bytes() == whole
     assert len(files()) == 64 and not [name for name in files() if name.startswith(".")]
 
@@ -243,7 +243,8 @@ def test_ctrl_c(whole):
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     kept = len(files())
-    assert (process.returncode, out) == (1, "") and kept >= 5
+    # Mitsuba may have said on stdout that it heard the signal, too.
+    assert process.returncode == 1 and kept >= 5 and "spp" not in out
     wanted = f"Stopped: {kept} of 64 passes are in 'd', and the same command with --resume goes on from there\n"
     assert wanted in err and "Traceback" not in err
     render("-o", "a.exr", *LONG, "--passes", "d", "--resume")
@@ -359,6 +360,7 @@ def test_folder_that_cannot_be():
     """Is a mistake before anything is rendered."""
     Path("file").write_text("x")
     assert "is no folder" in fails("-o", "a.exr", *OPTIONS, "--passes", "file")
+    assert "cannot be both" in fails("-o", "a.exr", *OPTIONS, "--passes", "./a.exr")
 
 
 def test_a_finer_grid():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images, rendering, sweep
+from phong_bsdf import fingerprint, images, rendering, sweep
 from phong_bsdf.cli import main
 
 SCENE = """\
@@ -183,6 +183,16 @@ def test_parquet(folder):
     assert read["ks"] == [0.0, 1.0, 0.0, 1.0] and read["kd"][0] == "0.5 0.5 0.5"
     assert [error is None for error in read["error"]] == [True, True, False, False]
     assert read["mean"][0] == float(table(folder / "out")[0]["mean"]) and read["file"][2] is None
+
+
+def test_large_files_are_read_once(folder, monkeypatch):
+    """Not for each combination: meshes may be large, combinations many."""
+    texture = '<texture name="kd" type="bitmap"><string name="filename" value="a.png"/></texture>'
+    Path("a.xml").write_text(SCENE.replace('<rgb name="kd" value="$kd"/>', texture))
+    images.write(folder / "a.png", np.full((2, 2, 3), 0.5, np.float32))
+    read, file_hash = [], fingerprint.file_hash
+    monkeypatch.setattr(fingerprint, "file_hash", lambda path: read.append(path) or file_hash(path))
+    assert len(sweep.plan(Path("a.xml"), [("ks", "0:1:lin5")]).rows) == 5 and len(read) == 1
 
 
 @pytest.mark.slow

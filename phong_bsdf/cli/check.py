@@ -120,7 +120,7 @@ def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, 
         done = checks.run(
             cluster, scene, checks.task(assignment), [files[i] for i in there], [labels[i] for i in there],
             [names[i] if folder else None for i in there], variant=str(mi.variant()), seconds=choice.seconds,
-            on_wait=lambda what: show(what, None),
+            on_wait=choice.waiting(show),
         )  # fmt: skip
         for number, grade, page in done:
             i = there[number]

@@ -1,12 +1,17 @@
 """The options of commands that can do their work on a cluster."""
 
 import functools
-from contextlib import contextmanager
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
+
+# A command without a bar, as in a batch job, says what it has waited for so long, in seconds.
+QUIET = 5
 
 
 @dataclass(frozen=True)
@@ -17,13 +22,24 @@ class Choice:
     seconds: float | None
     root: Path | None
 
-    @contextmanager
     def connected(self, verbose: bool):
-        """The cluster; ValueError where it is not there or not fit."""
+        """The cluster, inside `with`; ValueError where it is not there or not fit."""
         from ..cluster import connection
 
-        with connection.connected(self.where, verbose) as cluster:
-            yield cluster
+        return connection.connected(self.where, verbose)
+
+    def waiting(self, show) -> Callable[[str], None]:
+        """To be called with what is waited for: the bar says it, or, where there is none, a line, once."""
+        since, said = {}, set()
+
+        def wait(what: str) -> None:
+            show(what, None)
+            if not sys.stderr.isatty() and time.monotonic() - since.setdefault(what, time.monotonic()) >= QUIET:
+                if what not in said:
+                    print(what.capitalize(), file=sys.stderr, flush=True)
+                said.add(what)
+
+        return wait
 
 
 def cluster_options(command):

@@ -117,7 +117,7 @@ class _Elsewhere:
         with self.choice.connected(self.verbose) as cluster:
             references.render(
                 cluster, self.scene, planned, store, time_budget=time_budget, seconds=self.choice.seconds,
-                on_progress=self.show, on_wait=lambda what: self.show(what, None),
+                on_progress=self.show, on_wait=self.choice.waiting(self.show),
             )  # fmt: skip
 
 

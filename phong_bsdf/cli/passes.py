@@ -118,7 +118,7 @@ class Elsewhere:
         from .. import bundle
 
         self.choice, self.size, self.verbose, self.show = choice, size, verbose, show
-        self.scene = bundle.pack(scene, defines, choice.root)
+        self.scene, self.wait = bundle.pack(scene, defines, choice.root), choice.waiting(show)
 
     def __enter__(self):
         self.show("connecting", 0)
@@ -135,14 +135,11 @@ class Elsewhere:
         self.show("measuring", 0)
         spp = spp or picture.loaded.sensor(picture.subject.camera).sampler().sample_count()
         return passes.suitable_spp(self.cluster, self.scene, picture.subject, self.size, spp,
-                                   seconds=self.choice.seconds, on_wait=self._wait)  # fmt: skip
+                                   seconds=self.choice.seconds, on_wait=self.wait)  # fmt: skip
 
     def render(self, folder, **heard):
         """As `progressive.running.render`."""
         from ..cluster import passes
 
         return passes.render(self.cluster, self.scene, folder, size=self.size, seconds=self.choice.seconds,
-                             on_wait=self._wait, **heard)  # fmt: skip
-
-    def _wait(self, what: str) -> None:
-        self.show(what, None)
+                             on_wait=self.wait, **heard)  # fmt: skip

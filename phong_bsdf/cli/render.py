@@ -38,6 +38,8 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
         for path in outputs:
             images.check_writable(path)
         if folder is not None:
+            if folder.resolve() in [path.resolve() for path in outputs]:
+                raise ValueError(f"'{folder}' cannot be both the picture and the folder of its passes")
             images.check_folder(folder)
         start(variant, threads, verbose)
         from ..progressive import planning

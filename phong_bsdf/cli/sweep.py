@@ -79,7 +79,7 @@ class _Table:
 
                 yield from elsewhere.run(
                     connection, self.planned, self.todo, self.folder, variant=str(mi.variant()), root=choice.root,
-                    seconds=choice.seconds, on_wait=lambda what: self.show(what, None),
+                    seconds=choice.seconds, on_wait=choice.waiting(self.show),
                 )  # fmt: skip
         finally:
             self.path = self._write()
