@@ -20,9 +20,13 @@ CPU_VARIANTS = [name for name in mi.variants() if name.startswith(("scalar", "ll
 
 
 def pytest_collection_finish(session):
-    """What has been imported by now stays: without it, looking for dead scenes after each test is ten times faster."""
+    """What has been imported by now stays: without it, looking for dead scenes after each test is ten times faster.
+
+    They are looked for by this thread alone: those of Dask would free them while a kernel is made from them.
+    """
     gc.collect()
     gc.freeze()
+    gc.disable()
 
 
 @pytest.fixture(autouse=True)

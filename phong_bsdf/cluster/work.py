@@ -6,7 +6,8 @@ import platform
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -106,13 +107,24 @@ def carry_out(order: Order, around: Surroundings, files: Mapping[str, bytes], at
         try:
             prepare(around, re.sub(r"^\w+://|:\d+$", "", worker.address))
             path = bundle.unpack(replace(order.scene, files=files), folder)
-            value = order.call(path, *order.arguments)
+            with _undisturbed():
+                value = order.call(path, *order.arguments)
         except Exception as caught:
             text = str(caught) if isinstance(caught, ValueError) else f"{type(caught).__name__}: {caught}"
             error = order.scene.named(re.sub(r"\s+", " ", text).strip(), folder)
             # A full disk, too little memory.
             elsewhere = isinstance(caught, OSError | MemoryError)
         return Result(order.name, value, error, time.perf_counter() - start, worker.address, elsewhere=elsewhere)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Garbage waits: Dask's other thread would free objects of Mitsuba while this one makes kernels from them."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 def prepare(around: Surroundings, host: str) -> None:
