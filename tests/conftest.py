@@ -10,6 +10,9 @@ import browsing
 import dask_processes
 import pytest
 
+# A shell ignores Ctrl-C for what it runs in the background, and so would all processes that tests interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # For what test modules build when they are imported.
 mi.set_variant("llvm_ad_rgb")
 

@@ -153,6 +153,17 @@ def test_each_order_has_one_result(two, scene):
 
 
 @pytest.mark.slow
+def test_ctrl_c_is_not_lost(two, scene):
+    """Python drops its exception in callbacks of the garbage collector: the next look at the cluster has it again."""
+    with connected(address(two.url)) as cluster:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            list(Orders(cluster, [Order("a", scene, errands.double, (1,))], variant=mi.variant()).results())
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.slow
 def test_worker_is_killed(two, scene, tmp_path):
     """In the middle of an order: that is done again elsewhere, and nothing is there twice."""
     with connected(address(two.url)) as cluster:

@@ -93,10 +93,13 @@ class Cluster:
 
     def __init__(self, where: Address, local=None):
         self.where, self.local = where, local
+        self.interrupted = threading.Event()
         self.client = self._connected(SECONDS)
 
     def ensure(self, on_wait: Callable[[str], None]) -> bool:
         """Whether the connection was lost since the last call; if so, waits until there is one again."""
+        if self.interrupted.is_set():
+            raise KeyboardInterrupt
         if self.client.status == "running":
             return False
         while self.client.status != "running":
@@ -182,13 +185,33 @@ def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
     try:
         cluster = Cluster(where, local)
         cluster.check()
-        yield cluster
+        with _noticed(cluster.interrupted):
+            yield cluster
     finally:
         with _uninterrupted():
             if cluster is not None:
                 cluster.close()
             elif local is not None:
                 _end(local)
+
+
+@contextlib.contextmanager
+def _noticed(interrupted: threading.Event) -> Iterator[None]:
+    """Set at Ctrl-C. Its exception alone is lost amid a callback of the garbage collector, and Dask has one."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def notice(*_):
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, notice)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _started(count: int, verbose: bool):
