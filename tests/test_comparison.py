@@ -17,6 +17,9 @@ from click.testing import CliRunner
 from phong_bsdf import comparison, curves, images, matching, metrics, rendering, surfaces
 from phong_bsdf.cli import main
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 SCENES = Path(__file__).parent.parent / "scenes"
 
 # Two balls; the BSDFs of the left one, line 12, and of the right one, line 16, are filled in.

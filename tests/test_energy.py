@@ -13,6 +13,9 @@ from test_bsdf_contract import incidence as direction
 
 from phong_bsdf.albedo import directional_albedo
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 # Sampling ---------------------------------------------------------------------------------------------------
 
 # Normal incidence, grazing, and off the axes.

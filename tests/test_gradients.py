@@ -16,6 +16,9 @@ from test_whitted import film, look, point, rgb
 
 from phong_bsdf import camera
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 N = 32
 
 # Three mirrors that see each other, a point light too many for the kernel without a loop in `LAMPS`.

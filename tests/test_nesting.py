@@ -9,6 +9,9 @@ import pytest
 from bsdfs import ADAPTERS, LOBES, OURS, first, formula, material, mirror, normals, number, pane, pixels, render, row
 from test_bsdf_contract import interaction
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 # Every variant ----------------------------------------------------------------------------------------------
 
 

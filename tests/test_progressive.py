@@ -16,6 +16,9 @@ from phong_bsdf.passes import Store
 from phong_bsdf.progressive import folder as folders
 from phong_bsdf.progressive import planning, running
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 GLOSSY, MIRRORS = ROOT / "scenes/compare/balls.xml", ROOT / "scenes/lecture/mirror-floor.xml"
 SIZE = (40, 30)

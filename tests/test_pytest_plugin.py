@@ -11,6 +11,9 @@ import scipy.special  # noqa: F401
 from phong_bsdf import images
 from phong_bsdf.report import render_check  # noqa: F401
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 # All that the plugin imports is imported above: pytester forgets what is imported while it runs.
 pytest_plugins = ["pytester"]
 

@@ -19,6 +19,9 @@ from phong_bsdf.cli import main
 from phong_bsdf.cli import passes as command
 from phong_bsdf.progressive import running
 
+# Each of them is quick, all of them are not.
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 SCENE = ROOT / "scenes/compare/balls.xml"
 MIRRORS = ROOT / "scenes/lecture/mirror-floor.xml"
