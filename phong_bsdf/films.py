@@ -21,19 +21,26 @@ def gradient_of_samples(gradient, channels, first, pixels, spp):
     return mi.Color3f(*(dr.gather(mi.Float, gradient, channels * pixel + i) for i in range(3))) / spp
 
 
+def picture(film, channels):
+    """The tensor of a plain film's size whose channels are these, one value for each pixel."""
+    width, height = (int(side) for side in film.crop_size())
+    n = len(channels)
+    return mi.TensorXf(dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels)), (height, width, n))
+
+
 def store(film, channels):
     """The picture of one value for each pixel and channel. The film gets it, too, but in a form that costs nothing
     until somebody develops the film."""
     width, height = (int(side) for side in film.crop_size())
     n = len(channels)
     channels[0] = channels[0] + dr.zeros(mi.Float, width * height)
-    image = dr.ravel((mi.Vector4f if n == 4 else mi.Vector3f)(*channels))
+    image = picture(film, channels)
     index = dr.arange(mi.UInt32, width * height * (n + 1))
     pixel = index // (n + 1)
     channel = index - pixel * (n + 1)
-    weighted = dr.select(channel < n, dr.gather(mi.Float, image, pixel * n + channel, channel < n), 1)
+    weighted = dr.select(channel < n, dr.gather(mi.Float, image.array, pixel * n + channel, channel < n), 1)
     film.put_block(mi.ImageBlock(mi.TensorXf(weighted, (height, width, n + 1)), mi.ScalarPoint2i(film.crop_offset())))
-    return mi.TensorXf(image, (height, width, n))
+    return image
 
 
 def splat(block, film, position, value, wavelengths, valid):

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.camera import WHOLE, CameraSamples
-from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, splat, store
+from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, picture, splat, store
 from phong_bsdf.needs import FEATURES
 from phong_bsdf.parameters import Parameter
 from phong_bsdf.tracer import Memory, Tracer
@@ -185,20 +185,17 @@ class Whitted(Base):
                 return super().render_forward(scene, params, sensor, seed, spp)
             with dr.suspend_grad():
                 samples, spp = self.prepare(sensor, seed, spp)
-                channels = [[] for _ in range(channel_count(film))]
+                parts = []
                 for first, pixels in samples.passes():
                     with dr.resume_grad():
                         color = _color(self.tracer(scene, dr.ADMode.Forward), samples, first, pixels)
                         derivative = dr.forward_to(color, flags=FORWARD)
-                    for channel, found in zip(derivative, channels, strict=False):
-                        found.append(dr.block_sum(channel, spp) / spp)
-                    for found in channels[3:]:
-                        found.append(dr.zeros(mi.Float, pixels))
-                    dr.eval(channels)
-                width, height = film.crop_size()
-                channels = [found[0] if len(found) == 1 else dr.concat(found) for found in channels]
-                image = dr.ravel((mi.Vector4f if len(channels) == 4 else mi.Vector3f)(*channels))
-                return mi.TensorXf(image, (int(height), int(width), len(channels)))
+                    parts.append([dr.block_sum(channel, spp) / spp for channel in derivative])
+                    dr.eval(parts[-1])
+                channels = [dr.concat(found) if len(found) > 1 else found[0] for found in zip(*parts, strict=True)]
+                # Alpha has none.
+                channels += [dr.zeros(mi.Float, samples.pixels)] * (channel_count(film) - 3)
+                return picture(film, channels)
 
         def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
             """Adds to the gradients of `params` what `grad_in`, those of the picture, make of them.
