@@ -19,7 +19,8 @@ mi.set_variant("llvm_ad_rgb")
 
 from pages import IMAGES, below, beside, error_map  # noqa: E402
 
-from phong_bsdf import albedo, comparison, images, lobes, rendering, stability  # noqa: E402
+from phong_bsdf import albedo, comparison, images, lobes, rendering  # noqa: E402
+from phong_bsdf.stability import naive  # noqa: E402
 
 SCENES = Path(__file__).parent.parent / "scenes"
 FILM = {"type": "hdrfilm", "width": 240, "height": 240, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
@@ -128,8 +129,8 @@ def highlight(p):
 @contextmanager
 def naive_formula():
     """Inside, `blinnphong` has the formula of textbooks."""
-    naive = replace(lobes.LOBES["blinnphong"], value=stability.LOBES["blinnphong"]["value"][1])
-    with mock.patch.dict(lobes.LOBES, blinnphong=naive):
+    textbook = replace(lobes.LOBES["blinnphong"], value=naive.blinnphong)
+    with mock.patch.dict(lobes.LOBES, blinnphong=textbook):
         yield
 
 
@@ -137,8 +138,8 @@ def highlights():
     """The naive formula above, the stable one below; the exponent grows to the right."""
     exponents = (1e5, 1e6, 1e7)
     with naive_formula():
-        naive = beside(highlight(p) for p in exponents)
-    return below([naive, beside(highlight(p) for p in exponents)])
+        without = beside(highlight(p) for p in exponents)
+    return below([without, beside(highlight(p) for p in exponents)])
 
 
 # Others -----------------------------------------------------------------------------------------------------------

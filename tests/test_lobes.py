@@ -7,38 +7,16 @@ import mitsuba as mi
 import mpmath as mp
 import numpy as np
 import pytest
+from mpmath_lobes import by_mpmath, numbered_pairs
 from scipy import stats
 
 from phong_bsdf import lobes, stability
 from phong_bsdf.parameters import LARGEST_EXPONENT
+from phong_bsdf.stability import exact, inputs
 
 U = 2.0**-24
 EXPONENTS = (0, 0.3, 1, 30, 1e3, 1e4, 1e6, 1e8)
 LOBES = ("phong", "blinnphong")
-
-
-def exact(lobe, quantity, x):
-    """`value` or `pdf` at x = (wi, wo, p), the directions normalised exactly."""
-    a, b, p = mp.matrix(x[0:3]), mp.matrix(x[3:6]), x[6]
-    a, b = a / mp.norm(a), b / mp.norm(b)
-    if lobe == "phong":
-        cos, jacobian = a[2] * b[2] - a[0] * b[0] - a[1] * b[1], 1
-        mirrored = 2 * a[2] * cos - b[2] if p > 0 else 1
-    else:
-        h = a + b
-        cos, jacobian = h[2] / mp.norm(h), 1 / (2 * mp.norm(h))
-        mirrored = 2 * a[2] * (2 * cos**2 - 1) - b[2]
-    value = cos**p if cos > 0 else mp.mpf(p == 0)
-    if quantity == "value":
-        return value
-    # Samples that would be below the surface are mirrored, which doubles the density where they go.
-    return (p + 1) / (2 * mp.pi) * value * jacobian * (2 if mirrored < 0 else 1)
-
-
-def inputs(lobe, p, seed, n):
-    wi, wo = stability.pairs(lobe, p, n, np.random.default_rng(seed))
-    numbers = [[mp.mpf(float(x)) for x in (*v, *w, np.float32(p))] for v, w in zip(wi, wo, strict=True)]
-    return wi, wo, numbers
 
 
 def function(lobe, quantity):
@@ -50,16 +28,16 @@ def function(lobe, quantity):
 @pytest.mark.parametrize("lobe", LOBES)
 def test_errors_are_those_of_the_inputs(lobe, quantity, p):
     """Relative error at most C u (1 + kappa) wherever the value exceeds 1e-30, C = 3."""
-    wi, wo, numbers = inputs(lobe, p, seed=1, n=1500)
+    wi, wo, numbers = numbered_pairs(lobe, p, seed=1, n=1500)
     values = function(lobe, quantity)(mi.Vector3f(wi.T), mi.Vector3f(wo.T), mi.Float(p)).numpy()
-    _, kappa = stability.exact(lobe, wi, wo, p)[quantity]
+    _, kappa = exact.value_and_pdf(lobe, wi, wo, p)[quantity]
     assert np.all(np.isfinite(values)) and np.all(values >= 0)
     with mp.workdps(40):
         for value, x, k in zip(values, numbers, kappa, strict=True):
             # Beyond kappa = 1e-3 / u the bound has lost its meaning as a first-order one.
             if k * U > 1e-3:
                 continue
-            true = exact(lobe, quantity, x)
+            true = by_mpmath(lobe, quantity, x)
             if true > 1e-30:
                 assert abs(float(value) / true - 1) <= stability.BARS[quantity] * U * (1 + k)
             else:
@@ -83,7 +61,7 @@ def test_opposite_horizons(lobe, p):
     with mp.workdps(100):
         for value, v, w in zip(values, wi, wo, strict=True):
             x = [mp.mpf(float(c)) for c in (*v, *w)]
-            cos = exact(lobe, "value", [*x, 1])
+            cos = by_mpmath(lobe, "value", [*x, 1])
             kappa = p * mp.sqrt(abs(1 - cos**2)) / abs(cos)
             if lobe == "blinnphong":
                 a, b = (mp.matrix(side) / mp.norm(mp.matrix(side)) for side in (x[:3], x[3:]))
@@ -99,14 +77,14 @@ def test_opposite_horizons(lobe, p):
 @pytest.mark.parametrize("lobe", LOBES)
 def test_derivatives(lobe, quantity, p):
     """With respect to wi, wo and p: finite everywhere, and mpmath's where the value exceeds 1e-20."""
-    wi, wo, numbers = inputs(lobe, p, seed=5, n=1000)
+    wi, wo, numbers = numbered_pairs(lobe, p, seed=5, n=1000)
     v, w, exponent = mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.full(mi.Float, p, len(wi))
     dr.enable_grad(v, w, exponent)
     dr.backward(function(lobe, quantity)(v, w, exponent))
     computed = np.concatenate([dr.grad(v).numpy(), dr.grad(w).numpy(), dr.grad(exponent).numpy()[None]]).T
     assert np.all(np.isfinite(computed))
 
-    truth, kappa = stability.exact(lobe, wi, wo, p)[quantity]
+    truth, kappa = exact.value_and_pdf(lobe, wi, wo, p)[quantity]
     # max(0, cos)^p has no derivative at p = 0 where cos <= 0; closer to 0 than 1e-9 it counts as 1e-9.
     cos = np.sum(wi * [-1, -1, 1] * wo, axis=1) if lobe == "phong" else 1
     judged = np.flatnonzero((truth > 1e-20) & (kappa * U < 2e-3) & (cos > 1e-6))
@@ -114,7 +92,7 @@ def test_derivatives(lobe, quantity, p):
     with mp.workdps(50):
         for i in judged[:25]:
             orders = [tuple(int(j == k) for j in range(7)) for k in range(7)]
-            true = [float(mp.diff(lambda *x: exact(lobe, quantity, x), numbers[i], order)) for order in orders]
+            true = [float(mp.diff(lambda *x: by_mpmath(lobe, quantity, x), numbers[i], order)) for order in orders]
             # 200 roundings are 1e-5. At the peak, where the derivative vanishes, a rounding of the inputs moves it by
             # the second derivative, of order (p + 1) / cos(theta_d)^2.
             half = 1 if lobe == "phong" else max(np.linalg.norm(wi[i].astype(float) + wo[i]) / 2, 1e-7)
@@ -151,7 +129,7 @@ def test_derivatives_are_finite_at_the_edges(lobe, p):
 @pytest.mark.parametrize("lobe", LOBES)
 def test_no_infinity_leaves(lobe, p):
     """For any exponent that a BSDF has, value, density, normalisation and samples are numbers."""
-    wi, wo = (mi.Vector3f(v.T) for v in stability.pairs(lobe, p, 4096, np.random.default_rng(2)))
+    wi, wo = (mi.Vector3f(v.T) for v in inputs.pairs(lobe, p, 4096, np.random.default_rng(2)))
     xi = mi.Point2f([0, 2.0**-24, 0.5, 1 - 2.0**-24], [0, 0.9, 0.2, 1 - 2.0**-24])
     exponent = mi.Float(p)
     assert dr.all(dr.isfinite(function(lobe, "value")(wi, wo, exponent)))
@@ -164,7 +142,7 @@ def test_no_infinity_leaves(lobe, p):
 @pytest.mark.parametrize("lobe", LOBES)
 def test_lobe_is_one_where_the_exponent_is_zero(lobe):
     """0^0 = 1: with p = 0 the lobe is 1 wherever both cosines are positive, also where r.v is negative."""
-    wi, wo = (mi.Vector3f(v.T) for v in stability.pairs(lobe, 0, 1000, np.random.default_rng(2)))
+    wi, wo = (mi.Vector3f(v.T) for v in inputs.pairs(lobe, 0, 1000, np.random.default_rng(2)))
     assert dr.all(function(lobe, "value")(wi, wo, mi.Float(0)) == 1)
 
 

@@ -14,12 +14,12 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_lobes import exact as exact_mp
-from test_lobes import inputs
+from mpmath_lobes import by_mpmath, numbered_pairs
 
 from phong_bsdf import lobes, stability
 from phong_bsdf.cli import main
 from phong_bsdf.report import stability as report
+from phong_bsdf.stability import exact, inputs, measuring, naive
 
 # The inputs that came closest to a bar, found by climbing from the worst of millions: lobe, quantity, p, wi, wo.
 WORST = [
@@ -44,12 +44,12 @@ WORST = [
 @pytest.mark.parametrize("lobe", ("phong", "blinnphong"))
 def test_float64_truth(lobe, p):
     """What the sweep calls true agrees with mpmath, to far below float32."""
-    wi, wo, numbers = inputs(lobe, p, seed=7, n=200)
+    wi, wo, numbers = numbered_pairs(lobe, p, seed=7, n=200)
     with mp.workdps(40):
-        for quantity, (values, kappa) in stability.exact(lobe, wi, wo, float(np.float32(p))).items():
+        for quantity, (values, kappa) in exact.value_and_pdf(lobe, wi, wo, float(np.float32(p))).items():
             for value, k, x in zip(values, kappa, numbers, strict=True):
-                true = float(exact_mp(lobe, quantity, x))
-                if true > 1e-30 and k < stability.WORST_CONDITION:
+                true = float(by_mpmath(lobe, quantity, x))
+                if true > 1e-30 and k < measuring.WORST_CONDITION:
                     assert value == pytest.approx(true, rel=1e-14 * (1 + k))
 
 
@@ -61,11 +61,11 @@ def test_float64_truth(lobe, p):
 )
 def test_bars_hold_for_any_seed(seed, p, lobe):
     """4096 pairs of directions for each seed and exponent."""
-    wi, wo = stability.pairs(lobe, p, 4096, np.random.default_rng(seed))
-    truth = stability.exact(lobe, wi, wo, float(np.float32(p)))
+    wi, wo = inputs.pairs(lobe, p, 4096, np.random.default_rng(seed))
+    truth = exact.value_and_pdf(lobe, wi, wo, float(np.float32(p)))
     for quantity in ("value", "pdf"):
-        values = stability.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p))
-        assert stability._worst(values.numpy(), *truth[quantity])[1] <= stability.BARS[quantity]
+        values = measuring.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p))
+        assert measuring.worst(values.numpy(), *truth[quantity])[1] <= stability.BARS[quantity]
 
 
 @pytest.mark.parametrize(("lobe", "quantity", "p", "wi", "wo"), WORST)
@@ -74,17 +74,17 @@ def test_worst_inputs_found_so_far(lobe, quantity, p, wi, wo):
     rng = np.random.default_rng(0)
     shifts = [1 + 2.0**-24 * rng.integers(-2, 3, (4096, 3)) for _ in range(2)]
     wi, wo = ((np.array(v, np.float32) * shift).astype(np.float32) for v, shift in zip((wi, wo), shifts, strict=True))
-    truth = stability.exact(lobe, wi, wo, float(np.float32(p)))[quantity]
-    values = stability.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p)).numpy()
-    assert np.count_nonzero(truth[1] < stability.WORST_CONDITION) > 4000
-    assert stability._worst(values, *truth)[1] <= stability.BARS[quantity]
+    truth = exact.value_and_pdf(lobe, wi, wo, float(np.float32(p)))[quantity]
+    values = measuring.LOBES[lobe][quantity][0](mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p)).numpy()
+    assert np.count_nonzero(truth[1] < measuring.WORST_CONDITION) > 4000
+    assert measuring.worst(values, *truth)[1] <= stability.BARS[quantity]
 
 
 @pytest.mark.parametrize("p", (1e5, 1e6, 1e8))
 def test_phong_keeps_cancelling_products(p):
     """Near the peak every digit is needed: absolute errors stay below 1e-4, where plain products would give 4e-3."""
-    wi, wo = stability.pairs("phong", p, 2**18, np.random.default_rng(11))
-    truth, _ = stability.exact("phong", wi, wo, float(np.float32(p)))["value"]
+    wi, wo = inputs.pairs("phong", p, 2**18, np.random.default_rng(11))
+    truth, _ = exact.value_and_pdf("phong", wi, wo, float(np.float32(p)))["value"]
     value = lobes.phong(mi.Vector3f(wi.T), mi.Vector3f(wo.T), dr.opaque(mi.Float, p)).numpy()
     assert np.abs(value - truth).max() < 1e-4
 
@@ -109,9 +109,8 @@ def test_command(tmp_path):
 
 def test_a_missed_bar_is_exit_code_1(monkeypatch):
     """And the table says which."""
-    monkeypatch.setattr(stability, "EXPONENTS", (1e6,))
-    naive = stability.LOBES["phong"]["value"][1]
-    monkeypatch.setitem(stability.LOBES["phong"], "value", (naive, naive))
+    monkeypatch.setattr(measuring, "EXPONENTS", (1e6,))
+    monkeypatch.setitem(measuring.LOBES["phong"], "value", (naive.phong, naive.phong))
     result = CliRunner().invoke(main, ["stability", "--quick"])
     assert result.exit_code == 1
     assert [line.split()[0] for line in result.output.splitlines() if line.endswith("MISSED")] == ["value"]
@@ -159,9 +158,7 @@ def test_price_in_a_render(lobe, integrator, monkeypatch):
         return count
 
     stable = operations()
-    naive_lobe = dataclasses.replace(
-        lobes.LOBES[lobe], value=stability.LOBES[lobe]["value"][1], pdf=stability.LOBES[lobe]["pdf"][1]
-    )
+    naive_lobe = dataclasses.replace(lobes.LOBES[lobe], value=getattr(naive, lobe), pdf=getattr(naive, f"{lobe}_pdf"))
     monkeypatch.setitem(lobes.LOBES, lobe, naive_lobe)
-    naive = operations()
-    assert naive < stable <= 1.3 * naive
+    common = operations()
+    assert common < stable <= 1.3 * common
