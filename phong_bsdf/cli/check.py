@@ -41,20 +41,12 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
     Exit 2: none could be read.
     """
     with errors():
-        from .. import images
         from ..checking.pictures import SUFFIXES
-        from ..report import page
 
         if scene.suffix.lower() in SUFFIXES:
             raise ValueError(f"'{scene}' is a picture; the scene comes last")
         files, left_out = find(pictures, SUFFIXES)
-        if folder:
-            images.check_folder(folder)
-            page.check_installed()
-        if gradescope:
-            if gradescope.is_dir():
-                raise ValueError(f"'{gradescope}' is a folder; --gradescope needs a file")
-            images.check_folder(gradescope.parent)
+        _check_outputs(folder, gradescope)
         start(variant, threads, verbose)
         from ..checking import grading
         from ..report import check as report
@@ -86,6 +78,20 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         said = "".join(report.text(grade) + "\n" for grade in grades) if len(grades) < FEW else report.table(grades)
     click.echo(said, nl=False, err=code == 2 and not as_json)
     sys.exit(code)
+
+
+def _check_outputs(folder, gradescope) -> None:
+    """ValueError, before anything is rendered, where the results could not be written."""
+    from .. import images
+    from ..report import page
+
+    if folder:
+        images.check_folder(folder)
+        page.check_installed()
+    if gradescope:
+        if gradescope.is_dir():
+            raise ValueError(f"'{gradescope}' is a folder; --gradescope needs a file")
+        images.check_folder(gradescope.parent)
 
 
 def _here(assignment, files, labels, names, folder, show) -> list:
