@@ -30,9 +30,6 @@ from bsdfs import (
 from test_bsdf_contract import hemisphere, interaction
 from test_bsdf_contract import incidence as direction
 
-# Each of them is quick, all of them are not.
-pytestmark = pytest.mark.slow
-
 # Components and contexts ------------------------------------------------------------------------------------
 
 

@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from bsdfs import VOCABULARIES, both_lobes, material, mirror, pixels, render, row
 
-# Each of them is quick, all of them are not.
-pytestmark = pytest.mark.slow
-
 INTEGRATORS = {"path": {"type": "path", "max_depth": 4}, "direct": {"type": "direct"}}
 
 

@@ -11,9 +11,6 @@ import pytest
 
 import phong_bsdf
 
-# Each of them is quick, all of them are not.
-pytestmark = pytest.mark.slow
-
 CPU_VARIANTS = [name for name in mi.variants() if not name.startswith("cuda")]
 KINDS = {"phong": "bsdf", "blinnphong": "bsdf", "mirrorblend": "bsdf", "whitted": "integrator"}
 
