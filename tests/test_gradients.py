@@ -12,7 +12,7 @@ import numpy as np
 import oracle
 import pytest
 from oracle import Light, Scene, Sphere
-from test_whitted import film, look, point, rgb
+from small_scenes import film, look, point, rgb
 
 from phong_bsdf import camera
 
