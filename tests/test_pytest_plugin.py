@@ -103,7 +103,14 @@ def test_options_and_markers(project):
     project(test=marked.format(", absolute=0.01")).assert_outcomes(failed=1)
     result = project(test=BALL.format(", tolerance=1"))
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*unexpected keyword argument 'tolerance'*"])
+    result.stdout.fnmatch_lines(["render_check: there is no option 'tolerance'; there are camera, size, *, passes"])
+
+
+def test_a_scene_that_is_missing_is_told_before_its_reference(project):
+    """A misspelt name would else be told only to who runs the command that makes the reference."""
+    result = project(test=BROKEN)
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(["*no.xml: there is no such file"])
 
 
 SCENES = """
@@ -257,6 +264,7 @@ def test_variants(project):
     result = project(test=VARIANTS.replace("scalar_rgb", "no_such_variant").replace(', "llvm_ad_rgb_polarized"', ""))
     result.assert_outcomes(passed=1, errors=1)
     result.stdout.fnmatch_lines(["*there is no variant 'no_such_variant'*"])
+    assert "During handling" not in result.stdout.str()
     args = ["--phong-variant", "llvm_ad_rgb", "--phong-variant", "scalar_rgb"]
     plain = BALL.format(", spp=1, name='test_ball'")
     project(*args, test=plain).assert_outcomes(passed=2)
