@@ -261,7 +261,7 @@ def _materials_of_model(node: Node, context: Context) -> None:
     with path.open("rb") as lines:
         if not any(line.lstrip().startswith(b"mtllib") for line in lines):
             return
-    why = "Mitsuba 3 does not read them; the shape is grey. phong-bsdf convert makes BSDFs of them: give it the OBJ file"
+    why = "Mitsuba 3 does not read them; the shape is grey. Of the OBJ file itself phong-bsdf convert makes BSDFs"
     context.journal.loss(node.place, f"MTL materials of '{given.get('value')}'", why)
 
 
