@@ -308,8 +308,33 @@ def phong(parameter):
 BAD_SCENES = {
     "malformed": ("</shape>", "", "mismatch"),
     "attribute without quotes": ('"phong"', "phong", "attribute"),
-    "unknown plugin": (PHONG, '<bsdf type="phnog"/>', '"phnog" not found'),
-    "unknown parameter": (PHONG, phong('<float name="q" value="1"/>'), '"q"'),
+    "misspelt plugin": (
+        PHONG,
+        '<bsdf type="Blinn-Phong"/>',
+        r"there is no bsdf 'Blinn-Phong' \(did you mean 'blinnphong'\?\)$",
+    ),
+    "unknown plugin": (WHITTED, '<integrator type="ray"/>', "there is no integrator 'ray'$"),
+    "misspelt parameter": (
+        PHONG,
+        phong('<float name="k_s" value="1"/>'),
+        r"'phong' has no parameter 'k_s' \(did you mean 'ks'\?\)$",
+    ),
+    "unknown parameter": (
+        PHONG,
+        phong('<float name="q" value="1"/>'),
+        "'phong' has no parameter 'q'; it has kd, ks, p, ",
+    ),
+    "unknown parameters": (
+        PHONG,
+        phong('<float name="k_s" value="1"/><rgb name="q" value="1"/>'),
+        r"'phong' has no parameters 'k_s' \(did you mean 'ks'\?\), 'q'; it has kd, ",
+    ),
+    "parameter of Mitsuba's": (
+        '<emitter type="point">',
+        '<emitter type="point"><float name="falloff" value="1"/>',
+        "'point' has no parameter 'falloff'$",
+    ),
+    "one surface inside of another": (PHONG, phong('<bsdf type="diffuse"/>'), "'phong' takes no SmoothDiffuse$"),
     "negative p": (PHONG, phong('<float name="p" value="-1"/>'), "'p' must be finite and >= 0, got -1"),
     "p is no number": (PHONG, phong('<float name="p" value="x"/>'), '"x"'),
     "p is a word": (PHONG, phong('<string name="p" value="x"/>'), "'p' must be finite and >= 0, got x"),
@@ -326,7 +351,7 @@ BAD_SCENES = {
         "nix.png.*No such file",
     ),
     "no integrator": (WHITTED, "", f"no integrator; add {WHITTED}"),
-    "no sensor": (SENSOR, "", "no sensor"),
+    "no sensor": (SENSOR, "", "no camera; add a <sensor"),
     "no scene": (SCENE, '<bsdf version="3.0.0" type="phong"/>', "no <scene>"),
     "empty file": (SCENE, "", "element"),
 }
