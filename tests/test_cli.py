@@ -287,6 +287,14 @@ def test_python_m(args):
     assert "phong-bsdf" in result.stdout.splitlines()[0]
 
 
+def test_help_lists_every_command_with_a_whole_sentence():
+    """In the order of the page; none is cut."""
+    result = CliRunner().invoke(main, ["--help"])
+    listed = result.output.partition("Commands:")[2]
+    assert re.findall(r"^  (\w+) ", listed, re.M) == list(main.commands)
+    assert "..." not in listed and listed.count(".\n") == len(main.commands)
+
+
 # Mistakes ---------------------------------------------------------------------------------------------------
 
 

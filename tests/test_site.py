@@ -60,6 +60,16 @@ def test_pages_need_no_network_and_fit_a_phone(site, browser):
             assert window.evaluate(broken) == []
 
 
+def test_search_works_without_a_server(site, browser):
+    """It finds the pages, and asks for nothing that a browser forbids to files."""
+    with shown(browser, site / "search.html") as page:
+        page.locator(".sidebar-search").fill("mirrorblend")
+        page.locator(".sidebar-search").press("Enter")
+        page.locator("#search-results li").first.wait_for()
+        page.wait_for_load_state("networkidle")
+        assert "Plugins" in page.locator("#search-results").inner_text()
+
+
 def test_formulas_are_drawn(site, browser):
     """Fractions have a height, and nobody sees LaTeX."""
     with shown(browser, site / "model.html") as page:
