@@ -1,4 +1,4 @@
-"""Errors of Mitsuba about names that it does not know, in words that say which name was meant."""
+"""Errors of Mitsuba about names, in words that say which name was meant."""
 
 import difflib
 import re
@@ -8,8 +8,9 @@ from .registry import PLUGINS as OURS
 
 
 def reworded(text: str) -> str:
-    """The error with its part about an unknown plugin, or about parameters that a plugin does not have, put plainly."""
+    """The error with its part about an unknown plugin or parameter, or one that is given twice, put plainly."""
     text = re.sub(r'failed to instantiate (\w+) plugin of type "([^"]*)": .*Plugin "\2" not found!', _plugin, text)
+    text = re.sub(r'could not parse floating point value "([^"]*)"', _number, text)
     unread = r'Found \d+ unreferenced propert(?:y|ies) in (\w+) plugin of type "([^"]*)":(.*)'
     return re.sub(unread, _parameters, text, flags=re.DOTALL)
 
@@ -17,6 +18,15 @@ def reworded(text: str) -> str:
 def _plugin(error: re.Match) -> str:
     kind, name = error.groups()
     return f"there is no {kind} '{name}'{_meant(name, PLUGINS.get(kind, ()))}"
+
+
+def _number(error: re.Match) -> str:
+    try:
+        float(error[1].replace("_", "?"))
+    except ValueError:
+        return error[0]
+    # Mitsuba says so whatever is wrong with a <float>. (1_0 is a number in Python only.)
+    return f"the parameter of value {error[1]} has a name that stands there already"
 
 
 def _parameters(error: re.Match) -> str:

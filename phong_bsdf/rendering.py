@@ -163,6 +163,8 @@ def render(
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
+    if 0 in sensor.film().crop_size():
+        raise SceneError(f"{loaded.path}: the film has no pixels; its width and height must be at least 1")
     spp = spp or sensor.sampler().sample_count()
     try:
         if scene.integrator().aov_names():

@@ -342,6 +342,12 @@ BAD_SCENES = {
         '<emitter type="point"><float name="falloff" value="1"/>',
         "'point' has no parameter 'falloff'$",
     ),
+    "twice the same parameter": (
+        PHONG,
+        phong('<rgb name="kd" value="1"/><float name="kd" value="0.5"/>'),
+        "0.5 .*already$",
+    ),
+    "no pixels": ('name="height" value="8"', 'name="height" value="0"', "the film has no pixels"),
     "one surface inside of another": (PHONG, phong('<bsdf type="diffuse"/>'), "'phong' takes no SmoothDiffuse$"),
     "negative p": (PHONG, phong('<float name="p" value="-1"/>'), "'p' must be finite and >= 0, got -1"),
     "p is no number": (PHONG, phong('<float name="p" value="x"/>'), '"x"'),
