@@ -133,7 +133,8 @@ class RenderCheck:
                 refusal = str(error)
             if refusal:
                 self.fail(path, refusal, None)
-            self.node.user_properties.append(("phong_reference", str(references.files(path)[0])))
+            written = [file for file in references.files(path) if file.is_file()]
+            self.node.user_properties += [("phong_reference", str(file)) for file in written]
             return
         outcome, refusal = None, ""
         try:

@@ -205,15 +205,20 @@ def test_noise(project):
     scene = project.path / "scene.xml"
     scene.write_text(scene.read_text().replace("</scene>", sky))
     test = "def test_noisy(render_check):\n    render_check('scene.xml'" + noisy
-    project("--phong-update-references", test=test.replace("KD", "0.8").replace("SEED", "0"))
-    names = sorted(p.name for p in (project.path / "references/test_it").iterdir())
-    assert names == ["test_noisy-variance.exr", "test_noisy.exr"]
+    written = project("--phong-update-references", test=test.replace("KD", "0.8").replace("SEED", "0")).stdout
+    files = sorted((project.path / "references/test_it").iterdir())
+    assert [file.name for file in files] == ["test_noisy-variance.exr", "test_noisy.exr"]
+    written.fnmatch_lines([f"*/{file.name}" for file in files])
     for seed in ("0", "1000"):
         project(test=test.replace("KD", "0.8").replace("SEED", seed)).assert_outcomes(passed=1)
     result = project("--phong-report", "out", test=test.replace("KD", "0.85").replace("SEED", "0"))
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*tiles of 16 x 16 pixels differ by more than noise*brighter*"])
     assert "differ by more than noise" in (project.path / "out/test_it-test_noisy.html").read_text()
+    # Who commits one of the two files only is told.
+    files[0].unlink()
+    result = project(test=test.replace("KD", "0.8").replace("SEED", "0"))
+    result.stdout.fnmatch_lines(["*test_noisy-variance.exr' is missing*--phong-update-references*"])
 
 
 @pytest.mark.slow

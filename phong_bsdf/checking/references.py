@@ -104,6 +104,8 @@ def check(path: Path, scene, options: Options) -> Outcome:
     except Exception as error:
         # OpenEXR raises whatever its C++ side throws.
         raise NoReference(f"the reference '{picture}' cannot be read: {error}") from None
+    if passes > 1 and scatter is None:
+        raise NoReference(f"'{variance}' is missing, which belongs to the reference '{picture.name}'")
     if scatter is None:
         actual = render(options.seed, 1)
         limits = {"absolute": options.absolute, "relative": options.relative, "ulps": options.ulps}
