@@ -8,9 +8,10 @@ from .registry import PLUGINS as OURS
 
 
 def reworded(text: str) -> str:
-    """The error with its part about an unknown plugin or parameter, or one that is given twice, put plainly."""
+    """The error with its part about an unknown plugin or parameter, one that is given twice, or a -D, put plainly."""
     text = re.sub(r'failed to instantiate (\w+) plugin of type "([^"]*)": .*Plugin "\2" not found!', _plugin, text)
     text = re.sub(r'could not parse floating point value "([^"]*)"', _number, text)
+    text = re.sub(r"Found unused parameters:(.*)", _defines, text, flags=re.DOTALL)
     unread = r'Found \d+ unreferenced propert(?:y|ies) in (\w+) plugin of type "([^"]*)":(.*)'
     return re.sub(unread, _parameters, text, flags=re.DOTALL)
 
@@ -27,6 +28,11 @@ def _number(error: re.Match) -> str:
         return error[0]
     # Mitsuba says so whatever is wrong with a <float>. (1_0 is a number in Python only.)
     return f"the parameter of value {error[1]} has a name that stands there already"
+
+
+def _defines(error: re.Match) -> str:
+    given = ", ".join(re.findall(r"^\s*- \$(.*)$", error[1], re.M))
+    return f'the scene has no <default> for {given}; add <default name="..." value="..."/>, and use it as $name'
 
 
 def _parameters(error: re.Match) -> str:

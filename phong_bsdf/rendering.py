@@ -199,7 +199,6 @@ def explain(error: BaseException, path: Path) -> str:
     text = re.sub(r"^.*\(line \d+, col \d+\): ", "", text, flags=re.DOTALL)
     text = re.sub(r'^Parsing of XML file ".*?" failed: |^Error while loading( XML file)? ".*?": ', "", text)
     text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
-    text = re.sub(r"^Found unused parameters:\s*- \$", "the scene has no <default> for ", text)
     text = re.sub(r"\s*\n\s*-?\s*", " ", misspelt.reworded(text)).strip()
     said = f"{file}, line {line}: {text}" if line else f"{file}: {text}"
     return said + f". To make an old scene load: phong-bsdf convert {shlex.quote(str(path))} -o new.xml" * _is_old(path)

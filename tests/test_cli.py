@@ -401,7 +401,7 @@ BAD_OPTIONS = {
     "no such folder": (["-o", "no/a.exr"], "'no/a.exr' cannot be written: No such file or directory"),
     "output is a folder": (["-o", "folder.exr"], "'folder.exr' is a folder"),
     "no suffix": (["-o", "a"], "'a': an image file must end in .exr or .png"),
-    "-D unknown": (["-D", "nix=3"], "a.xml: the scene has no <default> for .*nix"),
+    "-D unknown": (["-D", "nix=3", "-D", "no=4"], "a.xml: the scene has no <default> for nix=3, no=4; add "),
     "-D value": (["-D", "kd=x"], rf'a.xml, line {line_of("$kd")}: .*"x"'),
     "-D refused by a plugin": (["-D", "format=x"], rf"a.xml, line {line_of('<film')}: .*Found x"),
     "no such camera": (["--camera", "2"], "a.xml: there is no camera 2, the scene has 1"),
