@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import needs
+from . import misspelt, needs
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
@@ -44,7 +44,7 @@ class LoadedScene:
         """Camera number `camera`, counted from 1."""
         sensors = self.scene.sensors()
         if not sensors:
-            raise SceneError(f"{self.path}: the scene has no sensor")
+            raise SceneError(f'{self.path}: the scene has no camera; add a <sensor type="perspective">')
         if not 1 <= camera <= len(sensors):
             raise SceneError(f"{self.path}: there is no camera {camera}, the scene has {len(sensors)}")
         return sensors[camera - 1]
@@ -163,6 +163,8 @@ def render(
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
+    if 0 in sensor.film().crop_size():
+        raise SceneError(f"{loaded.path}: the film has no pixels; its width and height must be at least 1")
     spp = spp or sensor.sampler().sample_count()
     try:
         if scene.integrator().aov_names():
@@ -197,8 +199,7 @@ def explain(error: BaseException, path: Path) -> str:
     text = re.sub(r"^.*\(line \d+, col \d+\): ", "", text, flags=re.DOTALL)
     text = re.sub(r'^Parsing of XML file ".*?" failed: |^Error while loading( XML file)? ".*?": ', "", text)
     text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
-    text = re.sub(r"^Found unused parameters:\s*- \$", "the scene has no <default> for ", text)
-    text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
+    text = re.sub(r"\s*\n\s*-?\s*", " ", misspelt.reworded(text)).strip()
     said = f"{file}, line {line}: {text}" if line else f"{file}: {text}"
     return said + f". To make an old scene load: phong-bsdf convert {shlex.quote(str(path))} -o new.xml" * _is_old(path)
 
