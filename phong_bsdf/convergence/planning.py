@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import fingerprint, images, passes, rendering
+from .. import fingerprint, images, passes, rendering, surfaces
 from ..passes import Store
 from . import methods
 
@@ -171,7 +171,7 @@ def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) 
         raise rendering.SceneError(f"{scene.path}: there is no camera {camera}, the scene has {len(sensors)}")
     if size:
         return size
-    nodes = (scene.state.nodes[i] for i in methods.children(sensors[camera - 1]))
+    nodes = (scene.state.nodes[i] for i in surfaces.children(sensors[camera - 1]))
     film: Any = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
     width, height = (film.get(name, default) for name, default in (("width", 768), ("height", 576)))
     return film.get("crop_width", width), film.get("crop_height", height)

@@ -5,6 +5,8 @@ Each rule changes one `<bsdf>` in place. Names are in snake_case by now.
 
 import math
 
+from ..energy import CONSERVED
+from ..lobes import LOBES
 from . import highlights, textures
 from .context import Context
 from .records import ConversionError
@@ -21,10 +23,8 @@ INDICES = {
 # Roughness where none is given.
 ALPHA = 0.1
 
-# Energy rule of 0.6 where a reflectance exceeds 1.
-CONSERVED = 0.99
-REFLECTANCES = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance")
-LOBES = ("phong", "blinnphong")
+# Parameters that 0.6 scales where they exceed 1.
+SCALED_DOWN = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance")
 
 
 def rewrite(context: Context) -> None:
@@ -267,7 +267,7 @@ def _bumpmap(node: Node, context: Context) -> None:
 def _conserve(node: Node, context: Context) -> None:
     """Constants above 1, which Mitsuba 0.6 scaled with a warning and Mitsuba 3 refuses."""
     for child in node.nodes:
-        values = color(child) if child.name in REFLECTANCES and "$" not in child.get("value", "") else None
+        values = color(child) if child.name in SCALED_DOWN and "$" not in child.get("value", "") else None
         if values and max(values) > 1:
             scale = CONSERVED / max(values)
             set_color(child, [v * scale for v in values])

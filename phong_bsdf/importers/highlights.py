@@ -6,12 +6,14 @@ course renderers that read 0.6's format. Each rule changes one `<bsdf>` in place
 
 import math
 
+from ..vocabulary import DEFAULTS, REFLECTANCES
 from . import bake
 from .context import Context
 from .values import color, number, set_color, to_text
 from .xmlfile import Node
 
-OF_0_6 = ("diffuse_reflectance", "specular_reflectance")
+# The scales of 0.6's `phong`.
+OF_0_6 = REFLECTANCES[:2]
 
 
 def phong(node: Node, context: Context) -> None:
@@ -39,7 +41,7 @@ def blinn(node: Node, context: Context) -> None:
 
 def _exponent(node: Node) -> float:
     given = node.find_named("exponent")
-    return max(number(given), 0.0) if given is not None else 30.0
+    return max(number(given), 0.0) if given is not None else DEFAULTS[2]
 
 
 def _dialect(node: Node, reflectance: Node, context: Context, factor: float, why: str) -> None:
@@ -56,7 +58,7 @@ def _dialect(node: Node, reflectance: Node, context: Context, factor: float, why
         ks.set("name", "ks")
         _scale_texture(ks, factor, context)
         node.append(ks)
-    node.add("float", name="p", value=exponent.get("value", "") if exponent is not None else "30")
+    node.add("float", name="p", value=exponent.get("value", "") if exponent is not None else to_text(DEFAULTS[2:]))
     context.journal.change(
         reflectance.place, f"'reflectance' of '{node.type}' is now 'ks'", f"a course's dialect; ks = {why}"
     )

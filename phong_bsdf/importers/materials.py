@@ -8,16 +8,12 @@ equations (5), glass (4, 6, 7, 9). 0 is a constant colour.
 import math
 from dataclasses import dataclass
 
+from ..vocabulary import VOCABULARIES
 from .maps import Maps
 from .mtl import Material
 from .records import Journal
 from .values import set_color
 from .xmlfile import Node
-
-VOCABULARIES = {
-    "coefficients": ("kd", "ks", "p"),
-    "reflectances": ("diffuse_reflectance", "specular_reflectance", "exponent"),
-}
 
 # What the specification leaves open.
 DEFAULTS = {"kd": (0.8, 0.8, 0.8), "ks": (0.0, 0.0, 0.0), "tf": (1.0, 1.0, 1.0)}
