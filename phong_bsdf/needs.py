@@ -18,11 +18,9 @@ NULL = int(mi.BSDFFlags.Null)
 # is under it undiminished. Adapters (`twosided`, `mask`, ...) pass both on.
 MIRRORLESS = 1 << 30
 
-
-# Emitters that `whitted` serves, by the names of their plugins.
-LIGHTS = ("point", "spot", "projector", "directional")
-BACKGROUNDS = ("constant", "envmap")
-BACKGROUND_CLASSES = ("ConstantBackgroundEmitter", "EnvironmentMapEmitter")
+# Emitters that `whitted` serves: plugin -> class.
+LIGHTS = {"point": "PointLight", "spot": "SpotLight", "projector": "Projector", "directional": "DirectionalEmitter"}
+BACKGROUNDS = {"constant": "ConstantBackgroundEmitter", "envmap": "EnvironmentMapEmitter"}
 
 # What a kernel holds only where the scene needs it, and what it lacks where not; `keep` of the functions below names
 # what it holds all the same.
@@ -73,7 +71,7 @@ class DeltaLobes:
 def check_lights(scene) -> None:
     """Raises `UnsupportedScene` for lights that have no single direction."""
     for emitter in scene.emitters():
-        if not is_delta(emitter) and emitter.class_name() not in BACKGROUND_CLASSES:
+        if not is_delta(emitter) and emitter.class_name() not in BACKGROUNDS.values():
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
 
 

@@ -213,7 +213,7 @@ def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
     """`error` with the line of the emitter that it is about; the loaded scene no longer knows it."""
     for node in state.nodes:
         name = node.props.plugin_name()
-        if node.type == mi.ObjectType.Emitter and name not in needs.LIGHTS + needs.BACKGROUNDS:
+        if node.type == mi.ObjectType.Emitter and name not in {**needs.LIGHTS, **needs.BACKGROUNDS}:
             location = mi.parser.file_location(state, node)
             return explain(RuntimeError(f"At {location}: {needs.refusal(name)}"), path)
     return f"{path}: {error}"

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .. import rendering
 from . import mistakes
 from .hits import Undiagnosable
 from .mistakes import Change, Mistake
@@ -91,7 +92,7 @@ class Diagnostician:
 
     def __init__(self, scene, sensor, reference: np.ndarray, *, spp: int, encoding: Encoding, directions=()):
         """`reference`: the right picture, linear; `encoding`: of the pictures; `directions` as for `Stage`."""
-        if scene.integrator().__class__.__name__ != "Whitted" or scene.integrator().convention != "course":
+        if type(scene.integrator()).__name__ != rendering.WHITTED or scene.integrator().convention != "course":
             raise Undiagnosable("diagnosis knows the integrator whitted in the course convention")
         side = int(np.sqrt(spp))
         if side * side != spp or not sensor.film().rfilter().is_box_filter():

@@ -66,11 +66,16 @@ class Reference:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and quartiles of seconds."""
+    """Median and quartiles of times."""
 
     median: float
     low: float
     high: float
+
+    @classmethod
+    def of(cls, times: Sequence[float]) -> "Spread":
+        """Those of some measured times."""
+        return cls(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
 
 
 @dataclass(frozen=True)
@@ -207,8 +212,7 @@ def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[i
 
 
 def _level(spp: int, chosen, reference: Reference, flip) -> tuple[Level, list[PassErrors], dict]:
-    times = np.array([made.seconds for made, _ in chosen])
-    spread = Spread(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
+    spread = Spread.of([made.seconds for made, _ in chosen])
     bad = [metrics.nonfinite(image) for _, image in chosen]
     warmup = max(made.seconds_warmup for made, _ in chosen)
     if any(bad) or reference.nonfinite:

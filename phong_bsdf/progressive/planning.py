@@ -124,17 +124,10 @@ def default_pass_spp(size: tuple[int, int], spp: int) -> int:
 
 
 def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
-    """Samples per pixel that a rendering takes when asked for `spp`: samplers round as they need."""
+    """Samples per pixel that a rendering takes when asked for `spp`."""
     if loaded.integrator == rendering.WHITTED and cameras.grid(spp):
         return spp
-    sampler = loaded.sensor(camera).sampler().clone()
-    before = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        sampler.set_sample_count(spp)
-    finally:
-        mi.set_log_level(before)
-    return int(sampler.sample_count())
+    return cameras.samples_taken(loaded.sensor(camera).sampler().clone(), spp)
 
 
 def _draws(loaded: LoadedScene, camera: int, spp: int) -> bool:
