@@ -146,7 +146,7 @@ def _gallery(found: Conclusions, pictures, maps, scale: float) -> dict[str, obje
         "title": f"Pictures after about {tables.number(found.picture_seconds)} s",
         "pictures": [
             {
-                "name": name, "image": page.picture(np.broadcast_to(image, (*image.shape[:2], 3))),
+                "name": name, "image": page.picture(image),
                 "map": page.picture(page.false_colours(maps[name], scale), linear=True) if name in maps else None,
                 "caption": captions.get(name, ""),
             }
