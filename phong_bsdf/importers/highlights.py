@@ -6,10 +6,11 @@ course renderers that read 0.6's format. Each rule changes one `<bsdf>` in place
 
 import math
 
+from .. import matching
 from ..vocabulary import DEFAULTS, REFLECTANCES
 from . import bake
 from .context import Context
-from .values import color, number, set_color, to_text
+from .values import color, number, refraction, set_color, to_text
 from .xmlfile import Node
 
 # The scales of 0.6's `phong`.
@@ -82,7 +83,7 @@ def blinn_microfacet(node: Node, context: Context) -> None:
     node[:] = []
     node.set("type", "roughconductor")
     _metal(node, values)
-    node.add("float", name="alpha", value=to_text([math.sqrt(2 / (p + 2))]))
+    node.add("float", name="alpha", value=to_text([matching.roughness(p)]))
     context.journal.loss(
         node.place, "a course's 'blinn_microfacet'", "approximated by 'roughconductor' of the same reflectance"
     )
@@ -100,8 +101,7 @@ def mirror(node: Node, context: Context) -> None:
 
 def _metal(node: Node, values: list[float]) -> None:
     """The index of refraction, without absorption, of a reflectance at normal incidence."""
-    roots = [math.sqrt(min(max(v, 0.0), 0.999)) for v in values]
-    set_color(node.add("float", name="eta", value=""), [(1 + r) / (1 - r) for r in roots])
+    set_color(node.add("float", name="eta", value=""), [refraction(v) for v in values])
     node.add("float", name="k", value="0")
 
 
