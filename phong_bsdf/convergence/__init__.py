@@ -1,1 +1,1 @@
-"""Error against run time: `plan` what to render, `measuring` it, `study` the passes, `conclusions` from them."""
+"""Error against time: `planning`, `measuring`, a `study` of the passes, what time buys (`tradeoff`), `conclusions`."""

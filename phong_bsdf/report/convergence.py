@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..convergence import conclusions, study
+from ..convergence import conclusions, study, tradeoff
 from ..convergence.conclusions import Conclusions
 from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
@@ -170,7 +170,7 @@ def _map_scale(maps: Mapping[str, np.ndarray]) -> float:
         return float(np.median([page.difference_scale([one]) for one in maps.values()] or [1.0]))
 
 
-def _best(table: study.Table, names: list[str], reference: str) -> list[str]:
+def _best(table: tradeoff.Table, names: list[str], reference: str) -> list[str]:
     """The three best after the longest time for which there are two or more."""
     for i in reversed(range(len(table.columns))):
         known = [(n, table.rows[n][i].estimate) for n in names if n in table.rows and table.rows[n][i]]

@@ -2,7 +2,7 @@
 
 import math
 
-from ..convergence import study
+from ..convergence import study, tradeoff
 from ..convergence.conclusions import Conclusions
 from ..metrics import EPSILON
 from . import tables
@@ -105,7 +105,7 @@ def _equal_error(found: Conclusions) -> Table:
                   "those with the same reference.")  # fmt: skip
 
 
-def _cells(identifier: str, title: str, headings, table: study.Table, found: Conclusions, note: str) -> Table:
+def _cells(identifier: str, title: str, headings, table: tradeoff.Table, found: Conclusions, note: str) -> Table:
     references = {result.name: result.reference for result in found.results}
     rows = []
     for name, cells in table.rows.items():
