@@ -42,7 +42,7 @@ inverse: $(READY)
 
 # Measures the table and the plot of docs/stability.md: a minute.
 stability: $(READY)
-	@$(BIN)/python docs/sweep.py
+	@$(BIN)/python docs/stability.py
 
 # Measures the three scenes of docs/error-vs-time.md: some five minutes. What is in out/study is not measured again.
 study: $(READY)

@@ -9,18 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from .. import metrics, rendering
-from . import pictures
+from . import EDGES, RIGHT, TOLERANCE, UNREADABLE, WRONG, pictures
 from .diagnosis import Diagnostician, Explanation
 from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError
 from .verdict import compare
-
-# How far a right picture may be off, in steps of 8 bits beyond rounding, and at which part of the pixels an edge may be
-# hit or missed. A ray tracer in float64 needs less than half of either on the course's scenes.
-TOLERANCE = 1.0
-EDGES = 0.002
-
-RIGHT, WRONG, UNREADABLE = "right", "wrong", "unreadable"
 
 # So many explanations are kept.
 MOST_EXPLANATIONS = 5
@@ -57,6 +50,7 @@ class Grade:
 
     picture: str
     status: str
+    """`RIGHT`, `WRONG` or `UNREADABLE`."""
     score: float
     """1 where it is right; else the part of the pixels, of those that show more than background, that are."""
     words: str

@@ -13,10 +13,7 @@ import mitsuba as mi
 from .. import camera as cameras
 from .. import fingerprint, images, machine, passes, rendering, surfaces
 from ..passes import Store
-from . import methods
-
-LEVELS = (1, 4, 16, 64)
-REPEATS = 5
+from . import LEVELS, REPEATS, methods
 
 # The reference of random methods: with 32 times the samples of the finest level, its noise is 3 % of that level's.
 REFERENCE_PASSES = 16

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checking.grading import RIGHT, UNREADABLE, Assignment, Checked, Grade, Mistake
+from ..checking import RIGHT, UNREADABLE
+from ..checking.grading import Assignment, Checked, Grade, Mistake
 from ..images import replace_file
 from . import page, tables
 
