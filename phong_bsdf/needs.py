@@ -121,6 +121,11 @@ def prepared(found: DeltaLobes, keep) -> DeltaLobes:
     )
 
 
+def has_instances(scene) -> bool:
+    """Whether some shape is an instance: what is inside of it, Mitsuba does not list."""
+    return any(shape.class_name() == "Instance" for shape in scene.shapes())
+
+
 def wake(scene) -> None:
     """Tell the BSDFs of `scene` which constants are being differentiated: a 0 among them must not be left out."""
     params = mi.traverse(scene)
@@ -132,10 +137,9 @@ def wake(scene) -> None:
 
 def _bsdfs(scene) -> list:
     """Every BSDF that a ray can meet in `scene`."""
-    shapes = scene.shapes()
-    found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in shapes) if bsdf is not None}
-    if dr.is_jit_v(mi.Float) and any(shape.class_name() == "Instance" for shape in shapes):
-        # Mitsuba does not list what is inside of an instance: ask for every BSDF alive, of other scenes too.
+    found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in scene.shapes()) if bsdf is not None}
+    if dr.is_jit_v(mi.Float) and has_instances(scene):
+        # Ask for every BSDF alive, of other scenes too.
         missing, i = 0, 1
         while missing < 64:
             try:

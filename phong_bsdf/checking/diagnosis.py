@@ -64,6 +64,7 @@ class Explanation:
 
     @property
     def name(self) -> str:
+        """Those of the mistakes, with + between them."""
         return "+".join(mistake.name for mistake in self.mistakes)
 
     @property
@@ -75,6 +76,7 @@ class Explanation:
 
     @property
     def advice(self) -> str:
+        """What to do about it."""
         return " ".join(mistake.advice for mistake in self.mistakes)
 
 

@@ -152,6 +152,7 @@ def find(paths, suffixes) -> tuple[list[Path], list[Path]]:
 
 
 def exit_code(statuses: list[str]) -> int:
+    """0: all are right, 1: some are not, 2: none could be read."""
     if all(status == UNREADABLE for status in statuses):
         return 2
     return int(any(status != RIGHT for status in statuses))

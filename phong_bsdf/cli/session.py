@@ -33,6 +33,7 @@ def start(variant: str | None, threads: int | None, verbose: bool) -> None:
 
 
 def drjit_has_llvm() -> bool:
+    """Whether Dr.Jit has found an LLVM that does not end the process."""
     import drjit
 
     return drjit.detail.llvm_version()[0] >= llvm.OLDEST

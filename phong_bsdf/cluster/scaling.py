@@ -57,6 +57,7 @@ class Prediction:
 
     @property
     def efficiency(self) -> float:
+        """The part of the workers' time that renders."""
         return self.speedup / self.workers
 
 

@@ -77,6 +77,7 @@ def _scale_texture(node: Node, factor: float, context: Context) -> None:
 
 
 def blinn_microfacet(node: Node, context: Context) -> None:
+    """A course's metal, whose microfacets have a Blinn-Phong distribution."""
     p = _exponent(node)
     reflectance = node.take("reflectance")
     values = (color(reflectance) if reflectance is not None else None) or [0.5]

@@ -60,6 +60,7 @@ class Plan:
         return self.count * self.spp
 
     def json(self) -> str:
+        """The plan as text: what travels, and what a folder of passes keeps."""
         return json.dumps(dataclasses.asdict(self), indent=1)
 
 
