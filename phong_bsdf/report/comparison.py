@@ -109,6 +109,7 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
             for name, difference in differences.items()
         },
         number=tables.number,
+        epsilon=tables.number(EPSILON),
         map_scale=tables.number(scale),
         viewer=page.viewer(comparison.images, scale),
     )
