@@ -11,7 +11,7 @@ from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
 from .convergence_tables import NAMES, NOT_YET, all_tables, finest_level, verdict
-from .study import Curve, Plot, Point, drawn, interval, legend, write_svg
+from .study_page import Curve, Plot, Point, drawn, interval, legend, write_svg
 
 PAGE = "index.html"
 

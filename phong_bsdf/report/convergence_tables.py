@@ -6,7 +6,7 @@ from ..convergence import study, tradeoff
 from ..convergence.conclusions import Conclusions
 from ..metrics import EPSILON
 from . import tables
-from .study import Cell, Table, estimate, interval, number
+from .study_page import Cell, Table, estimate, interval, number
 
 NAMES = {"relmse": "relMSE", "mse": "MSE", "max_error": "largest error", "flip": "FLIP"}
 
