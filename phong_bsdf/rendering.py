@@ -21,6 +21,7 @@ from .scene_errors import SceneError, located, sentence
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
 
+# The class of the integrator `whitted`.
 WHITTED = "Whitted"
 
 

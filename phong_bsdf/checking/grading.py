@@ -31,7 +31,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Mistake:
+class Finding:
     """An explanation, as it is told."""
 
     name: str
@@ -56,9 +56,9 @@ class Grade:
     words: str
     pixels_off: float | None
     """Part of all pixels."""
-    mistake: Mistake | None
+    mistake: Finding | None
     """The mistake to tell; None: it is right, or none of the usual ones explains it."""
-    candidates: tuple[Mistake, ...]
+    candidates: tuple[Finding, ...]
     """All explanations, the best first, told or not."""
     diagnosed: bool
     """Whether mistakes were looked for; the notes say why not."""
@@ -176,8 +176,8 @@ class Assignment:
         return self.loaded.path.name
 
 
-def _told(explanation: Explanation) -> Mistake:
-    return Mistake(
+def _told(explanation: Explanation) -> Finding:
+    return Finding(
         explanation.name, explanation.title, explanation.advice, explanation.confidence, explanation.explained,
         explanation.same,
     )  # fmt: skip

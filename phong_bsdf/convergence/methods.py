@@ -17,6 +17,8 @@ from ..vocabulary import MIXTURE, SAMPLINGS
 
 SAMPLERS = ("independent", "stratified", "multijitter", "ldsampler")
 REFERENCES = ("scene", "own")
+
+# Its plugin; `rendering.WHITTED` is its class.
 WHITTED = "whitted"
 
 # What a scene's integrator hands on to another one, with what Mitsuba takes where the scene is silent.

@@ -240,7 +240,7 @@ class Whitted(Base):
 
 
 def _color(tracer, samples, first, pixels):
-    """Of each sample of `pixels` pixels from number `first` on."""
+    """The colour of each sample of `pixels` pixels from number `first` on."""
     ray, weight, _ = samples.pixel_rays(first, pixels)
     radiance, _ = tracer.trace(ray, True)
     return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..checking import RIGHT, UNREADABLE
-from ..checking.grading import Assignment, Checked, Grade, Mistake
+from ..checking.grading import Assignment, Checked, Finding, Grade
 from ..images import replace_file
 from . import page, tables
 
@@ -44,7 +44,7 @@ def text(grade: Grade) -> str:
     return "\n".join([*lines, *(f"  Note: {note}." for note in grade.notes)])
 
 
-def certainty(mistake: Mistake) -> str:
+def certainty(mistake: Finding) -> str:
     """The confidence in words."""
     if mistake.confidence >= ALMOST_SURE:
         return "Almost surely"
