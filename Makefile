@@ -48,7 +48,8 @@ stability: $(READY)
 study: $(READY)
 	@$(BIN)/python docs/study.py
 
-# All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md.
+# All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md,
+# where the table of `explain` is one of those.
 bench: $(READY)
 	@mkdir -p out/bench
 	@$(BIN)/phong-bsdf explain scenes/lecture/mirror-floor.xml -o out/bench > /dev/null
