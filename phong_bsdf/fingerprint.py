@@ -27,7 +27,7 @@ def versions() -> str:
 
 
 def scene_hash(path: Path, state, hashed: Callable[[Path], str] | None = None) -> str:
-    """Of all that a parsed scene says, its defines put in, and of the content of every file that it names.
+    """A hash of all that a parsed scene says, its defines put in, and of the content of every file that it names.
 
     Ids, numbers of samples and sizes of films are left out, and so are the names of files. `state`
     comes from `rendering.parse(path, merge=False)`. ValueError where a file cannot be read. `hashed`: `file_hash`,

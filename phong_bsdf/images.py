@@ -87,7 +87,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_checked(path: Path) -> np.ndarray:
-    """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
+    """The image in an EXR file, as `read_exr` has it; ValueError where it is not, bit by bit, what `write` wrote."""
     try:
         # The library says what is wrong on stdout.
         with contextlib.redirect_stdout(None):

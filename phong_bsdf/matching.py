@@ -174,7 +174,7 @@ _MATCHES = {
 
 
 def _with_base(plugin, name, parameters, lobe, given, notes):
-    """With the diffuse part under the parameter `name`."""
+    """The match, with the diffuse part under the parameter `name`."""
     if name in given:
         return Match(plugin, parameters, tuple(notes))
     base = Carried("diffuse")

@@ -64,7 +64,7 @@ class Explanation:
 
     @property
     def name(self) -> str:
-        """Those of the mistakes, with + between them."""
+        """The mistakes' names, with + between them."""
         return "+".join(mistake.name for mistake in self.mistakes)
 
     @property

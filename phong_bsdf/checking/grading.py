@@ -119,7 +119,7 @@ class Assignment:
         return self.check_picture(name, picture)
 
     def check_picture(self, name: str, picture: Picture) -> Checked:
-        """As `check`, of a picture that has been read."""
+        """Compare a picture that has been read, called `name`, with the rendering, and explain what is wrong."""
         encoding = picture.encoding
         expected = encoding.encode(self.image)
         step = self.options.tolerance / 255
@@ -172,7 +172,7 @@ class Assignment:
 
     @cached_property
     def name(self) -> str:
-        """Of the scene."""
+        """The name of the scene's file."""
         return self.loaded.path.name
 
 

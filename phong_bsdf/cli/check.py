@@ -107,7 +107,7 @@ def _here(assignment, files, labels, names, folder, show) -> list:
 
 
 def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, verbose) -> list:
-    """The same, by a cluster. What is no file is graded here."""
+    """The grades of all pictures, by a cluster. What is no file is graded here."""
     import mitsuba as mi
 
     from .. import bundle, images

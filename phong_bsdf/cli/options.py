@@ -113,7 +113,7 @@ def scene_options(command):
 
 
 def renderer_options(command):
-    """The same, but for the number of samples."""
+    """The options of every command that renders a scene, but for the number of samples."""
     options = (
         mode_option,
         click.option("-D", "--define", "defines", multiple=True, type=Define(),

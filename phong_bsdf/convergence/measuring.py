@@ -75,7 +75,7 @@ class _Session:
         self.work += sum(sum(reference.levels) for reference in run.references)
 
     def make_reference(self, reference: ReferenceRun) -> None:
-        """Its passes; why that fails is kept for the methods that need it."""
+        """Make the passes of a reference; why that fails is kept for the methods that need it."""
         if reference.kind == "file":
             return
         try:
@@ -87,7 +87,7 @@ class _Session:
             self.failed_references[reference.name] = f"its reference failed: {_reason(error)}"
 
     def make_passes(self, method: MethodRun, repeat: int) -> None:
-        """One pass at each level."""
+        """Make one pass of a method at each level."""
         if self.store.failure(method.key) is None:
             try:
                 self._block(method.key, method.name, method.levels, repeat=repeat)

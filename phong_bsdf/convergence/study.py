@@ -44,7 +44,7 @@ class Reference:
 
     @cached_property
     def weights(self) -> dict[str, np.ndarray | float]:
-        """Of the two squared errors."""
+        """What the two squared errors are weighted with, at each pixel."""
         return {"relmse": 1 / (self.mean**2 + metrics.EPSILON), "mse": 1.0}
 
     @cached_property
@@ -71,7 +71,7 @@ class Spread:
 
     @classmethod
     def of(cls, times: Sequence[float]) -> "Spread":
-        """Those of some measured times."""
+        """The median and the quartiles of measured times."""
         return cls(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
 
 
@@ -229,7 +229,7 @@ def complete_repeats(passes: Sequence[PassErrors]) -> list[list[PassErrors]]:
 
 
 def errors_of(passes: Sequence[PassErrors]) -> list[float]:
-    """Their relMSE, where they have one."""
+    """The relMSE of passes, of those that have one."""
     return [errors.relmse for errors in passes if errors.relmse is not None]
 
 

@@ -16,7 +16,7 @@ COLUMNS = 6
 
 @dataclass(frozen=True)
 class Cell:
-    """Of a table over methods."""
+    """A number in a table of methods."""
 
     estimate: Estimate
     at_most: bool = False
@@ -66,7 +66,7 @@ def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
 
 
 def _table(results: Sequence[Result], values: Sequence[float], cell, descending: bool = False) -> Table:
-    """With columns at round numbers between the `values`; at less round ones where those tell nothing.
+    """A table with columns at round numbers between the `values`; at less round ones where those tell nothing.
 
     Without columns that fewer than two methods, or the only one, fill, and those in which all are good at once.
     """

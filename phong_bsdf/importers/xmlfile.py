@@ -61,7 +61,7 @@ class Node(ET.Element):
         return next((child for child in self.nodes if child.name in names), None)
 
     def take(self, *names: str) -> "Node | None":
-        """The same, and remove it."""
+        """Remove, and give, the first element inside that is called one of `names`."""
         found = self.find_named(*names)
         if found is not None:
             self.remove(found)

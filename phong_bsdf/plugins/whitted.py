@@ -131,7 +131,7 @@ class Whitted(Base):
         )
 
     def features(self, scene, sensor, spp):
-        """Those of `needs.FEATURES` that the kernel holds which renders `scene`."""
+        """The features, of `needs.FEATURES`, of the kernel that renders `scene`."""
         features = self.tracer(scene).features()
         return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
 

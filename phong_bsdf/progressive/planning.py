@@ -45,7 +45,7 @@ class Plan:
     """Whether random numbers are used."""
 
     def samples(self, index: int) -> Samples:
-        """Those of one pass."""
+        """Which samples a pass has."""
         seed = rendering.pass_seed(self.seed, index * self.spp) if self.random else 0
         if not self.grid:
             return Samples(self.spp, seed, self.random, index=index)

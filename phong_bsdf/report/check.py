@@ -52,12 +52,12 @@ def certainty(mistake: Finding) -> str:
 
 
 def percent(share: float) -> str:
-    """Of 1; what is not all of it is not 100 %."""
+    """A part of 1 in per cent; what is not all of it is not 100 %."""
     return f"{min(round(100 * share), 99) if share < 0.9995 else 100} %"
 
 
 def score(grade: Grade, points: float = 1.0) -> str:
-    """Of `points`, with two digits; what is not right does not have all of them."""
+    """The score, of `points`, with two digits; what is not right does not have all of them."""
     return f"{points if grade.status == RIGHT else _floor(points * grade.score):.2f}"
 
 

@@ -56,7 +56,7 @@ def finest_level(result: study.Result) -> study.Level | None:
 
 
 def _why(result: study.Result) -> Cell:
-    """Of a method without a level."""
+    """Why a method has no level, as a cell."""
     return Cell(result.failure, kind="words bad") if result.failure else Cell(NOT_YET, kind="words")
 
 

@@ -23,7 +23,7 @@ LOWEST_SHARE = 0.03
 
 @dataclass(frozen=True)
 class Cell:
-    """Of a table: what is read, and what is sorted by (None: the text)."""
+    """A cell of a table: what is read, and what is sorted by (None: the text)."""
 
     text: str
     value: float | None = None
@@ -44,7 +44,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Point:
-    """Of a curve: where it is, how sure that is, and what is said about it."""
+    """A point of a curve: where it is, how sure that is, and what is said about it."""
 
     x: float
     x_low: float
