@@ -156,7 +156,7 @@ def _checksum(image: np.ndarray) -> str:
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:
-    """The bytes of a PNG file, as `write` writes it."""
+    """The bytes of a PNG file of an image, (height, width, 1 to 4 channels), as `write` writes it."""
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 

@@ -207,5 +207,5 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def mirroring(bounce: Bounce) -> np.ndarray:
-    """The hits from which a mirrored ray goes on."""
+    """Whether a mirrored ray goes on from each hit, (n,)."""
     return (bounce.km.max(axis=-1) > 0) & (np.einsum("ij,ij->i", bounce.normal, bounce.view) > 0)

@@ -88,7 +88,7 @@ def colour_map() -> np.ndarray:
 
 
 def false_colours(difference: np.ndarray, scale: float) -> np.ndarray:
-    """The mean over the colours of |difference| as a picture for `png(..., linear=True)`."""
+    """The mean over the colours of |difference|, an image, as colours for `picture(..., linear=True)`."""
     share = np.abs(difference).mean(axis=-1) / scale if scale > 0 else np.zeros(difference.shape[:2])
     return colour_map()[np.rint(255 * np.clip(np.nan_to_num(share, nan=1.0), 0, 1)).astype(int)] / 255.0
 
