@@ -6,6 +6,7 @@ Mitsuba's own EXR routines are avoided: they wait for ever where Dr.Jit has no f
 
 import contextlib
 import glob
+import io
 import os
 import tempfile
 import zlib
@@ -89,8 +90,8 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_checked(path: Path) -> np.ndarray:
     """The image in an EXR file, as `read_exr` has it; ValueError where it is not, bit by bit, what `write` wrote."""
     try:
-        # The library says what is wrong on stdout.
-        with contextlib.redirect_stdout(None):
+        # The library says what is wrong on stdout; before 3.5.3 it fails where there is none.
+        with contextlib.redirect_stdout(io.StringIO()):
             image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
     except (RuntimeError, ValueError):
         image, wanted = None, None

@@ -1,4 +1,4 @@
-"""BSDFs of the package in both vocabularies, their formula in float64, and small scenes to look at them."""
+"""BSDFs of the package in both vocabularies, their formula in float64, and scenes to look at them."""
 
 import math
 
@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_bsdf_contract import interaction
+from small_scenes import film, look
 
 KINDS = ("phong", "blinnphong")
 VOCABULARIES = {
@@ -18,6 +18,12 @@ RADIANCE = mi.TransportMode.Radiance
 LOBE_FLAGS = {"diffuse": mi.BSDFFlags.DiffuseReflection, "glossy": mi.BSDFFlags.GlossyReflection}
 
 both_lobes = pytest.mark.parametrize(("kind", "vocabulary"), LOBES)
+# One of each plugin.
+BSDFS = {
+    "phong": {"type": "phong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.1]}, "ks": 0.4, "p": 30},
+    "blinnphong": {"type": "blinnphong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.1]}, "ks": 0.4, "p": 30},
+    "mirrorblend": {"type": "mirrorblend", "km": 0.5, "nested": {"type": "blinnphong", "ks": 0.7, "p": 100}},
+}
 
 
 def material(kind, vocabulary, diffuse=0.4, specular=0.3, p=20.0, **more):
@@ -48,6 +54,22 @@ def formula(kind, vocabulary, wi, wo, diffuse=0.4, specular=0.3, p=20.0):
     return np.where((wi[2] > 0) & (wo[2] > 0), f, 0)
 
 
+def incidence(degrees, azimuth=0.7):
+    theta = math.radians(degrees)
+    return mi.Vector3f(math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth), math.cos(theta))
+
+
+def interaction(wi):
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(wi))
+    si.wi, si.p, si.uv = wi, mi.Point3f(0), mi.Point2f(0.5)
+    return si
+
+
+def hemisphere(n, seed=0):
+    rng = mi.PCG32(n, seed)
+    return mi.warp.square_to_uniform_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+
+
 def draw(bsdf, wi, n, ctx=None, seed=0):
     """`n` samples for one direction of incidence: (interaction, samples, weights)."""
     rng = mi.PCG32(n, seed)
@@ -73,17 +95,6 @@ def pixels(values):
     return {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": mi.Bitmap(np.array(values, np.float32))}
 
 
-def sensor(origin, target, width=16, height=None, fov=40.0, spp=4):
-    # `look_at` needs an up direction that is not the view's.
-    up = [0, 1, 0] if origin[0] != target[0] or origin[2] != target[2] else [0, 0, 1]
-    return {
-        "type": "perspective", "fov": fov, "to_world": mi.ScalarTransform4f().look_at(origin, target, up),
-        "near_clip": 1e-3, "sampler": {"type": "independent", "sample_count": spp},
-        "film": {"type": "hdrfilm", "width": width, "height": height or width, "pixel_format": "rgb",
-                 "component_format": "float32", "rfilter": {"type": "box"}},
-    }  # fmt: skip
-
-
 def row(bsdfs, integrator, wrap=lambda shape: [shape], **objects):
     """A row of spheres, one for each BSDF, before a bright sky and a point light."""
     shapes = {}
@@ -91,7 +102,7 @@ def row(bsdfs, integrator, wrap=lambda shape: [shape], **objects):
         ball = {"type": "sphere", "center": [2.2 * i - 1.1 * (len(bsdfs) - 1), 0, 0], "bsdf": bsdf}
         shapes |= {f"shape {i} {j}": shape for j, shape in enumerate(wrap(ball))}
     return {
-        "type": "scene", "integrator": integrator, "sensor": sensor([0, 2, 14], [0, 0, 0], 32, 8),
+        "type": "scene", "integrator": integrator, "sensor": look([0, 2, 14], [0, 0, 0], spp=4, film=film(32, 8)),
         "sky": {"type": "constant", "radiance": 0.6},
         "light": {"type": "point", "position": [0, 5, 9], "intensity": 80},
         **shapes, **objects,
@@ -102,14 +113,9 @@ def pane(bsdf, integrator, degrees=30.0, spp=4, width=4, **objects):
     """A large pane in the plane z = 0, of which the camera sees a point, `degrees` from the normal."""
     eye = [4 * math.sin(math.radians(degrees)), 0, 4 * math.cos(math.radians(degrees))]
     return {
-        "type": "scene", "integrator": integrator, "sensor": sensor(eye, [0, 0, 0], width, fov=1e-3, spp=spp),
+        "type": "scene", "integrator": integrator, "sensor": look(eye, [0, 0, 0], width, fov=1e-3, spp=spp),
         "pane": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(100), "bsdf": bsdf}, **objects,
     }  # fmt: skip
-
-
-def render(scene, **options):
-    scene = mi.load_dict(scene) if isinstance(scene, dict) else scene
-    return np.array(mi.render(scene, **options))
 
 
 def bumps():

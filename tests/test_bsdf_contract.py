@@ -6,29 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from bsdfs import BSDFS, hemisphere, incidence, interaction
 
-BSDFS = {
-    "phong": {"type": "phong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.1]}, "ks": 0.4, "p": 30},
-    "blinnphong": {"type": "blinnphong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.1]}, "ks": 0.4, "p": 30},
-    "mirrorblend": {"type": "mirrorblend", "km": 0.5, "nested": {"type": "blinnphong", "ks": 0.7, "p": 100}},
-}
 ANGLES = (0, 20, 45, 70, 85)
-
-
-def incidence(degrees, azimuth=0.7):
-    theta = math.radians(degrees)
-    return mi.Vector3f(math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth), math.cos(theta))
-
-
-def interaction(wi):
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(wi))
-    si.wi, si.p, si.uv = wi, mi.Point3f(0), mi.Point2f(0.5)
-    return si
-
-
-def hemisphere(n, seed=0):
-    rng = mi.PCG32(n, seed)
-    return mi.warp.square_to_uniform_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
 
 
 # The lecture's unit points: n = (0, 0, -1), point at the origin, kd = ks = .9, p = 200 ----------------------

@@ -19,16 +19,17 @@ from bsdfs import (
     draw,
     first,
     formula,
+    hemisphere,
+    incidence,
+    interaction,
     material,
     mirror,
     number,
     pane,
     pixels,
-    render,
     row,
 )
-from test_bsdf_contract import hemisphere, interaction
-from test_bsdf_contract import incidence as direction
+from small_scenes import render
 
 # Components and contexts ------------------------------------------------------------------------------------
 
@@ -46,13 +47,13 @@ def test_contexts(name):
     """A context with one component, by index or type: its part of the value, a density of its own, samples of it."""
     bsdf = mi.load_dict(OURS[name])
     n = 4096
-    si, wo = interaction(direction(40) + dr.zeros(mi.Vector3f, n)), hemisphere(n, 3)
+    si, wo = interaction(incidence(40) + dr.zeros(mi.Vector3f, n)), hemisphere(n, 3)
     total = dr.zeros(mi.Color3f, n)
     for i, kind, ctx in contexts(bsdf):
         value, pdf = bsdf.eval_pdf(ctx, si, wo)
         assert dr.all(value == bsdf.eval(ctx, si, wo), axis=None) and dr.all(pdf == bsdf.pdf(ctx, si, wo))
         total += 0.5 * value
-        _, bs, weight = draw(bsdf, direction(40), n, ctx)
+        _, bs, weight = draw(bsdf, incidence(40), n, ctx)
         alive = bs.pdf > 0
         assert dr.mean(dr.select(alive, 1.0, 0.0))[0] > 0.9
         assert dr.all(dr.select(alive, bs.sampled_component == i, True))
@@ -70,7 +71,7 @@ def test_contexts(name):
     assert dr.allclose(total, bsdf.eval(mi.BSDFContext(), si, wo), rtol=1e-5)
     for nothing in (mi.BSDFContext(RADIANCE, int(mi.BSDFFlags.Transmission)), mi.BSDFContext(RADIANCE, 0x1FF, 7)):
         value, pdf = bsdf.eval_pdf(nothing, si, wo)
-        _, weight = draw(bsdf, direction(40), n, nothing)[1:]
+        _, weight = draw(bsdf, incidence(40), n, nothing)[1:]
         assert dr.all(value == 0, axis=None) and dr.all(pdf == 0) and dr.all(weight == 0, axis=None)
 
 
@@ -100,7 +101,7 @@ def test_components_follow_updates(kind, vocabulary):
         params[f"nested_bsdf.{diffuse}.value"], params[f"nested_bsdf.{specular}.value"] = end
         params.update()
         assert kinds(bsdf) == ["delta", *cases[end]]
-        wi, wo = direction(30), direction(20, 3.5)
+        wi, wo = incidence(30), incidence(20, 3.5)
         expected = 0.7 * formula(kind, vocabulary, wi, wo, *end)[0]
         assert dr.allclose(bsdf.eval(mi.BSDFContext(), interaction(wi), wo), expected, rtol=1e-5)
         params["km.value"] = 0
@@ -125,7 +126,7 @@ def test_components_of_textures(kind, vocabulary):
     params = mi.traverse(bsdf)
     params[f"nested_bsdf.{VOCABULARIES[vocabulary][0]}.data"] = np.full((1, 1, 1), 0.5, np.float32)
     params.update()
-    value = bsdf.eval(mi.BSDFContext(), interaction(direction(30)), mi.Vector3f(0, 0, 1))
+    value = bsdf.eval(mi.BSDFContext(), interaction(incidence(30)), mi.Vector3f(0, 0, 1))
     assert dr.allclose(value, 0.5 / math.pi) and kinds(bsdf) == ["delta", "diffuse", "glossy"]
 
 
@@ -156,7 +157,7 @@ def test_updates_reach_through_adapters(adapter, integrator, case):
 
 def test_attributes(any_variant):
     """Every parameter is an attribute by its name, of one channel and of three; what is no parameter is none."""
-    si = interaction(direction(10))
+    si = interaction(incidence(10))
     for kind, vocabulary in LOBES:
         bsdf = mi.load_dict(material(kind, vocabulary))
         for name, value in zip(VOCABULARIES[vocabulary], (0.4, 0.3, 20), strict=True):
@@ -172,7 +173,7 @@ def test_attributes(any_variant):
 
 def test_attributes_of_textures_and_mirrors():
     """Textures are attributes too, three channels as three, and so is `km`."""
-    si = interaction(direction(10))
+    si = interaction(incidence(10))
     bsdf = mi.load_dict({"type": "phong", "kd": pixels([[[0.1, 0.2, 0.3]]]), "p": pixels([[[7.0]]])})
     assert dr.allclose(bsdf.eval_attribute_3("kd", si), mi.Color3f(0.1, 0.2, 0.3))
     assert dr.allclose(bsdf.eval_attribute_1("p", si), 7)
@@ -212,7 +213,7 @@ def test_parameters_by_name(kind, vocabulary):
     bsdf = mi.load_dict(material(kind, vocabulary))
     params = mi.traverse(bsdf)
     assert set(params.keys()) == {f"{name}.value" for name in names}
-    wi, wo = direction(50), direction(30, 3.6)
+    wi, wo = incidence(50), incidence(30, 3.6)
     now = [0.4, 0.3, 20.0]
     for i, (name, value) in enumerate(zip(names, (0.25, 0.55, 3.0), strict=True)):
         params[f"{name}.value"] = now[i] = value

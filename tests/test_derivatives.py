@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_bsdf_contract import BSDFS, hemisphere, incidence, interaction
+from bsdfs import BSDFS, hemisphere, incidence, interaction
 
 
 @pytest.mark.parametrize("p", (0, 30, 1e6))

@@ -7,9 +7,21 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import KINDS, RADIANCE, VOCABULARIES, both_lobes, draw, formula, material, pane, pixels, render
-from test_bsdf_contract import hemisphere, interaction
-from test_bsdf_contract import incidence as direction
+from bsdfs import (
+    KINDS,
+    RADIANCE,
+    VOCABULARIES,
+    both_lobes,
+    draw,
+    formula,
+    hemisphere,
+    incidence,
+    interaction,
+    material,
+    pane,
+    pixels,
+)
+from small_scenes import render
 
 from phong_bsdf.albedo import directional_albedo
 
@@ -37,11 +49,11 @@ def chi_square(kind, vocabulary, p, wi, resolution):
 @both_lobes
 def test_samples_follow_the_density(kind, vocabulary, p):
     """Chi-square of `sample` against `pdf` over the sphere, from eight directions, both lobes together."""
-    for incidence in INCIDENCES:
-        wi = direction(incidence[0], math.radians(incidence[1]))
+    for degrees, azimuth in INCIDENCES:
+        wi = incidence(degrees, math.radians(azimuth))
         test = chi_square(kind, vocabulary, p, wi, 61)
         # 96 tests: none may be significant at 1e-4 by chance more often than once in 100 seeds.
-        assert test.run(1e-4, test_count=96), (incidence, test.messages)
+        assert test.run(1e-4, test_count=96), (degrees, azimuth, test.messages)
 
 
 def lobe_coordinates(kind, wi, wo, p):
@@ -73,8 +85,8 @@ def test_samples_of_narrow_lobes(kind, vocabulary, p):
     At p = 1e5 the lobe is 0.2 degrees wide; a chi-square over the sphere would need a million cells to see its shape.
     """
     bsdf = mi.load_dict(material(kind, vocabulary, 0, 0.9, p))
-    for incidence in INCIDENCES[:6] if p == 1000 else INCIDENCES:
-        wi = direction(incidence[0], math.radians(incidence[1]))
+    for degrees, azimuth in INCIDENCES[:6] if p == 1000 else INCIDENCES:
+        wi = incidence(degrees, math.radians(azimuth))
         si, bs, _ = draw(bsdf, wi, 50_000, seed=3)
         u, phi = lobe_coordinates(kind, si.wi, bs.wo, p)
         # Float32 directions move u by (p + 1) tan(theta) 2^-24 / cos(theta_d): at p = 1e5 and 88 degrees by
@@ -96,7 +108,7 @@ def test_samples_below_the_surface(vocabulary):
     for kind, p in itertools.product(KINDS, (0, 1, 30, 1000, 1e5)):
         bsdf = mi.load_dict(material(kind, vocabulary, 0, 0.9, p))
         for degrees in (0, 45, 80, 89.9):
-            _, bs, weight = draw(bsdf, direction(degrees), 2**15)
+            _, bs, weight = draw(bsdf, incidence(degrees), 2**15)
             below = dr.mean(dr.select(bs.wo.z < 0, 1.0, 0.0))[0]
             if kind == "phong":
                 assert below == 0
@@ -114,7 +126,7 @@ def test_samples_carry_the_albedo(kind, vocabulary, p):
     """weight x pdf = eval, and the mean weight is the diffuse scale plus the directional albedo of the lobe."""
     bsdf = mi.load_dict(material(kind, vocabulary, 0.3, 0.6, p))
     for degrees in (0, 30, 60, 80, 88):
-        si, bs, weight = draw(bsdf, direction(degrees), 2**17, seed=int(degrees))
+        si, bs, weight = draw(bsdf, incidence(degrees), 2**17, seed=int(degrees))
         value = bsdf.eval(mi.BSDFContext(), si, bs.wo)
         assert dr.allclose(weight.x * bs.pdf, value.x, rtol=1e-5)
         weight = np.array(weight.x, np.float64)
@@ -216,7 +228,7 @@ def test_energy_rule(kind, variant, case, messages):
     assert scale == 1 or (f"multiplied by {scale:.3g}" in warnings[0] and f"{kind}: " in warnings[0])
     off = mi.load_dict(material(kind, "reflectances", diffuse, specular, ensure_energy_conservation=False))
     assert len(messages) == len(warnings)
-    si, wo = interaction(direction(40)), direction(30, 3.6)
+    si, wo = interaction(incidence(40)), incidence(30, 3.6)
     for ctx in (mi.BSDFContext(), *(mi.BSDFContext(RADIANCE, 0x1FF, i) for i in (0, 1))):
         assert dr.allclose(bsdf.eval(ctx, si, wo), off.eval(ctx, si, wo) * scale, rtol=1e-5)
     # What the share of the highlight is does not change.
@@ -227,7 +239,7 @@ def test_energy_rule(kind, variant, case, messages):
 def test_reflectances_that_sum_to_1_are_kept(diffuse, specular, messages):
     """1 does not exceed 1, whatever the numbers' last bits are."""
     bsdf = mi.load_dict(material("phong", "reflectances", diffuse, specular, 30))
-    wi = direction(0)
+    wi = incidence(0)
     expected = formula("phong", "reflectances", wi, wi, diffuse, specular, 30)[0]
     assert dr.allclose(bsdf.eval(mi.BSDFContext(), interaction(wi), wi), expected, rtol=1e-5)
     assert messages == []
@@ -237,7 +249,7 @@ def test_reflectances_that_sum_to_1_are_kept(diffuse, specular, messages):
 def test_energy_rule_after_updates(kind, vocabulary):
     """The scale follows updates both ways, of numbers and textures; the lecture's coefficients have none."""
     diffuse, specular, _ = VOCABULARIES[vocabulary]
-    wi, wo = direction(40), direction(30, 3.6)
+    wi, wo = incidence(40), incidence(30, 3.6)
     for textured in (False, True):
         bsdf = mi.load_dict(material(kind, vocabulary, pixels(np.full((2, 2, 1), 0.3)) if textured else 0.3, 0.3))
         params = mi.traverse(bsdf)

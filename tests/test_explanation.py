@@ -6,8 +6,9 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
+from bsdfs import mirror
 from click.testing import CliRunner
-from test_materials import BLINN, PHONG, POINTS, SUN, mirror, scene
+from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
 from phong_bsdf import explanation
 from phong_bsdf.cli import main
@@ -23,7 +24,7 @@ GAUSSIAN = {"type": "hdrfilm", "width": 48, "height": 48}
 
 def features(bsdfs, lights=SUN, spp=1, film=None, **options):
     """What the kernel of a scene holds."""
-    loaded = scene(bsdfs, lights, spp=spp, **options)
+    loaded = balls(bsdfs, lights, spp=spp, **options)
     sensor = mi.load_dict({"type": "perspective", "film": film}) if film else loaded.sensors()[0]
     return loaded.integrator().features(loaded, sensor, spp)
 
@@ -63,7 +64,7 @@ def test_features_are_those_of_the_scene(changed, more):
 def test_lights_that_send_nothing_are_gone():
     """They cost nothing, until their intensity is raised."""
     dark = {name: {**light, "intensity": 0.0} for name, light in POINTS.items()}
-    with_dark, without = (scene([PHONG], {**SUN, **more}) for more in (dark, {}))
+    with_dark, without = (balls([PHONG], {**SUN, **more}) for more in (dark, {}))
     assert "lights" not in with_dark.integrator().features(with_dark, with_dark.sensors()[0], 1)
     picture = np.array(mi.render(with_dark))
     assert np.array_equal(picture, np.array(mi.render(without)))
@@ -72,7 +73,7 @@ def test_lights_that_send_nothing_are_gone():
     params[key] = 0.7
     params.update()
     raised = np.array(mi.render(with_dark))
-    lit = scene([PHONG], {**SUN, "light": {**POINTS[key.split(".")[0].replace("_", " ")], "intensity": 0.7}})
+    lit = balls([PHONG], {**SUN, "light": {**POINTS[key.split(".")[0].replace("_", " ")], "intensity": 0.7}})
     assert np.array_equal(raised, np.array(mi.render(lit))) and not np.array_equal(raised, picture)
     params[key] = 0.0
     params.update()
@@ -82,7 +83,7 @@ def test_lights_that_send_nothing_are_gone():
 @pytest.mark.slow
 def test_what_is_left_out_would_cost_operations():
     """Every feature that is left out has a price; where more is held, the kernel is larger, the whole the largest."""
-    loaded = LoadedScene("test", scene([PHONG, BLINN], {**SUN, "point": POINTS["light 0"]}), "Whitted", 0.0)
+    loaded = LoadedScene("test", balls([PHONG, BLINN], {**SUN, "point": POINTS["light 0"]}), "Whitted", 0.0)
     result = explanation.explain(loaded, repeats=1)
     rows = {row.feature: row for row in result.rows}
     assert set(FEATURES) < set(rows)
@@ -118,14 +119,14 @@ def test_command(tmp_path):
 def test_many_kinds_of_bsdfs_fit_into_a_line():
     """The table is no wider than a terminal of 100 columns."""
     bsdfs = [GLASS, HOLE, mirror(BLINN), {"type": "roughconductor"}, {"type": "roughplastic"}, {"type": "diffuse"}]
-    loaded = LoadedScene("a.xml", scene(bsdfs, {**POINTS, **SPOT, **SUN}, size=8), "Whitted", 0.0)
+    loaded = LoadedScene("a.xml", balls(bsdfs, {**POINTS, **SPOT, **SUN}, size=8), "Whitted", 0.0)
     text = report.text(explanation.explain(loaded, repeats=1))
     assert "6 BSDFs of 6 kinds" in text and "8 lights of 3 kinds" in text and max(map(len, text.splitlines())) <= 100
 
 
 def test_other_integrators_are_refused(tmp_path):
     """Exit code 2 and one sentence; so are variants without kernels."""
-    loaded = LoadedScene("a.xml", scene([PHONG], SUN), "path", 0.0)
+    loaded = LoadedScene("a.xml", balls([PHONG], SUN), "path", 0.0)
     with pytest.raises(SceneError, match="about the integrator 'whitted', this scene has path"):
         explanation.explain(loaded)
     result = CliRunner().invoke(main, ["explain", "scenes/lecture/falloff.xml", "-m", "scalar_rgb", "--size", "4x4"])

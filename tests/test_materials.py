@@ -4,12 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from bsdfs import mirror
+from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
 from phong_bsdf.materials import Table
 from phong_bsdf.needs import FEATURES, REQUIRED
 
-PHONG = {"type": "phong", "kd": {"type": "rgb", "value": [0.8, 0.3, 0.1]}, "ks": 0.4, "p": 20}
-BLINN = {"type": "blinnphong", "kd": 0.3, "ks": {"type": "rgb", "value": [0.1, 0.5, 0.9]}, "p": 200}
 BRIGHT = {"type": "blinnphong", "diffuse_reflectance": 0.9, "specular_reflectance": 0.8, "exponent": 10.0}
 NORMALIZED = {"type": "phong", "diffuse_reflectance": 0.2, "specular_reflectance": 0.3, "exponent": 3.0}
 CHECKS = {"type": "checkerboard", "color0": {"type": "rgb", "value": [0.1, 0.9, 0.4]}, "color1": 0.7}
@@ -18,41 +18,6 @@ BITMAP = {
     "bitmap": mi.Bitmap(np.random.default_rng(5).uniform(0, 300, (8, 8, 1)).astype(np.float32)),
 }  # fmt: skip
 GREY = {"diffuse_reflectance": {"type": "checkerboard", "color0": 0.2, "color1": 0.9}}
-POINTS = {f"light {i}": {"type": "point", "position": [i - 2, 3, -1 - i], "intensity": 0.2} for i in range(6)}
-SUN = {"sun": {"type": "directional", "direction": [0.3, -1, 0.4], "irradiance": 0.4}}
-
-
-def mirror(bsdf, km=0.4):
-    return {"type": "mirrorblend", "km": km, "nested": bsdf}
-
-
-def scene(bsdfs, lights, size=48, spp=1, **options):
-    """Balls in a row on a floor of the last material."""
-    t = mi.ScalarTransform4f
-    *balls, floor = bsdfs if len(bsdfs) > 1 else bsdfs * 2
-    shapes = {
-        f"ball {i}": {"type": "sphere", "center": [2.2 * i - 1.1 * (len(balls) - 1), 0, 0], "bsdf": bsdf}
-        for i, bsdf in enumerate(balls)
-    }
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "whitted", **options},
-            "sensor": {
-                "type": "perspective",
-                "to_world": t().look_at([0, 2, 8], [0, 0, 0], [0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-                "sampler": {"type": "independent", "sample_count": spp},
-            },
-            "floor": {
-                "type": "rectangle",
-                "to_world": t().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale([9, 9, 1]),
-                "bsdf": floor,
-            },
-            **shapes,
-            **lights,
-        }
-    )
 
 
 SCENES = {
@@ -77,7 +42,7 @@ def differences(name, keeps, **options):
     """Largest relative difference of a picture to the specialised one, for each set of features kept."""
     bsdfs, lights = SCENES[name]
     if bsdfs:
-        loaded = scene(bsdfs, lights, **options)
+        loaded = balls(bsdfs, lights, **options)
     else:
         sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}
         loaded = mi.load_dict({"type": "scene", "integrator": {"type": "whitted"}, "sensor": sensor, **lights})
@@ -121,12 +86,12 @@ def test_each_feature_alone_changes_nothing(feature):
 )
 def test_other_bsdfs_are_called(bsdf):
     """Then the scene is no table."""
-    assert Table().of(scene([PHONG, bsdf], SUN)) is None
+    assert Table().of(balls([PHONG, bsdf], SUN)) is None
 
 
 def test_updates_are_seen():
     """A constant that is changed, and one that a frozen function changes."""
-    loaded, general = (scene([PHONG, mirror(BLINN)], SUN, specialize=flag) for flag in (True, False))
+    loaded, general = (balls([PHONG, mirror(BLINN)], SUN, specialize=flag) for flag in (True, False))
     keys = [key for key in mi.traverse(loaded).keys() if key.endswith(("kd.value", "km.value", ".p.value"))]  # noqa: SIM118
     assert len(keys) == 5
 
@@ -159,7 +124,7 @@ def test_scenes_that_share_bsdfs():
     """The same BSDFs on other shapes, whose numbers are others, rendered in turn by one integrator."""
     bsdfs = [mi.load_dict(bsdf) for bsdf in (PHONG, BLINN, mirror(PHONG))]
     integrator = mi.load_dict({"type": "whitted"})
-    first, second = scene(bsdfs, SUN), scene(bsdfs, SUN)
+    first, second = balls(bsdfs, SUN), balls(bsdfs, SUN)
     expected = np.array(mi.render(first))
     for loaded in (first, second, first):
         assert np.array_equal(np.array(mi.render(loaded, integrator=integrator)), expected)
@@ -180,20 +145,17 @@ def operations(scene):
 def test_kernels_hold_what_the_scene_needs():
     """A diffuse scene's kernel has at most 60 % of the general one's operations, and is all that a frame runs."""
     diffuse = [{"type": "phong", "ks": 0}]
-    size, kernels, compiled = operations(scene(diffuse, SUN))
+    size, kernels, compiled = operations(balls(diffuse, SUN))
     assert (kernels, compiled) == (1, 0)
-    general, _, _ = operations(scene([PHONG, mirror(BLINN)], {**SUN, "point": POINTS["light 0"]}, specialize=False))
-    assert size <= 0.6 * general
-    assert (
-        operations(scene([PHONG, mirror(BLINN)], SUN))[0]
-        < operations(scene([PHONG, mirror(BLINN)], SUN, specialize=False))[0]
-    )
+    mirrored = [PHONG, mirror(BLINN)]
+    assert size <= 0.6 * operations(balls(mirrored, {**SUN, "point": POINTS["light 0"]}, specialize=False))[0]
+    assert operations(balls(mirrored, SUN))[0] < operations(balls(mirrored, SUN, specialize=False))[0]
 
 
 def test_values_are_no_part_of_the_kernel():
     """Other constants, and more materials and lights, are the same kernel."""
     three = [PHONG, *[BLINN] * 9, mirror(BLINN)]
-    operations(scene(three, POINTS))
+    operations(balls(three, POINTS))
     for bsdfs, lights in (
         ([{**PHONG, "p": 3, "ks": 0.9}, *[{**BLINN, "kd": 0.1}] * 9, mirror({**BLINN, "p": 7}, 0.2)], POINTS),
         (three, {**POINTS, "another": {"type": "point", "position": [3, 3, 3]}}),
@@ -201,7 +163,7 @@ def test_values_are_no_part_of_the_kernel():
     ):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            dr.eval(mi.render(scene(bsdfs, lights)))
+            dr.eval(mi.render(balls(bsdfs, lights)))
             assert all(k["cache_hit"] for k in dr.kernel_history() if k.get("operation_count", 0) > 200)
 
 
@@ -218,7 +180,7 @@ def test_pixels_written_directly_are_the_film(film):
     """Without a film's block: the same picture, and the film holds it for those who develop it later."""
     pictures = []
     for flag in (True, False):
-        loaded = scene([PHONG], SUN, specialize=flag)
+        loaded = balls([PHONG], SUN, specialize=flag)
         sensor = mi.load_dict({
             "type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 2, 8], [0, 0, 0], [0, 1, 0]),
             "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}, **film},
@@ -242,7 +204,7 @@ def test_shared_textures_are_followed(before, after, specialize):
             {"type": "blinnphong", "diffuse_reflectance": shared, "specular_reflectance": 0.6},
             mirror({"type": "phong", "kd": 0.2, "ks": shared}),
         ]
-        return scene(
+        return balls(
             bsdfs, {"shared": {"type": "uniform", "id": "shared", "value": value}, **SUN}, specialize=specialize
         )
 

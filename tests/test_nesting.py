@@ -6,8 +6,22 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import ADAPTERS, LOBES, OURS, first, formula, material, mirror, normals, number, pane, pixels, render, row
-from test_bsdf_contract import interaction
+from bsdfs import (
+    ADAPTERS,
+    LOBES,
+    OURS,
+    first,
+    formula,
+    interaction,
+    material,
+    mirror,
+    normals,
+    number,
+    pane,
+    pixels,
+    row,
+)
+from small_scenes import render
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

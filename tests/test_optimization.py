@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_whitted import look, point
+from small_scenes import look, point
 
 from phong_bsdf.optimization import Unknown, bounds
 

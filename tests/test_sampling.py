@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_bsdf_contract import interaction
+from bsdfs import interaction
 
 from phong_bsdf.albedo import directional_albedo
 

@@ -1,5 +1,6 @@
 """Every scene in `scenes/`, and the snippets in the plugins' manuals."""
 
+import inspect
 import re
 from pathlib import Path
 
@@ -73,7 +74,8 @@ def test_mirror_floor_blends():
 def test_snippets_of_the_manual_load(name):
     """The XML and the Python in each plugin's docstring make the plugin."""
     module = __import__(f"phong_bsdf.plugins.{name}", fromlist=[name])
-    manual = next(c.__doc__ for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
-    xml, python = re.search(r"XML::\n\n(.*?)\n\n    Python::\n\n(.*)", manual, re.S).groups()
+    classes = (c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
+    manual = inspect.getdoc(next(classes))
+    xml, python = re.search(r"XML::\n\n(.*?)\n\nPython::\n\n(.*)", manual, re.S).groups()
     made = [mi.load_string(re.sub(r">", ' version="3.0.0">', xml, count=1)), mi.load_dict(eval(python.strip()))]
     assert all(type(x).__name__.lower() == name for x in made)

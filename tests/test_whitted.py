@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
+from small_scenes import look, point, render, rgb
 
 from phong_bsdf.images import to_8bit
 
@@ -32,29 +33,8 @@ COURSE_VALUES = {
 }
 
 
-def render(scene, **options):
-    scene = mi.load_dict(scene) if isinstance(scene, dict) else scene
-    return np.array(mi.render(scene, **options))
-
-
 def course(number, **defines):
     return mi.load_file(str(SCENES / f"course/scene-{number}.xml"), **{k: str(v) for k, v in defines.items()})
-
-
-def film(width, height=None, rfilter="box"):
-    return {
-        "type": "hdrfilm", "width": width, "height": height or width, "pixel_format": "rgb",
-        "component_format": "float32", "rfilter": {"type": rfilter},
-    }  # fmt: skip
-
-
-def look(origin, target, width=16, fov=40.0, spp=1, **more):
-    up = [0, 1, 0] if abs(origin[0] - target[0]) + abs(origin[2] - target[2]) > 0 else [0, 0, 1]
-    return {
-        "type": "perspective", "fov": fov, "film": film(width), "near_clip": 1e-3, **more,
-        "to_world": mi.ScalarTransform4f().look_at(origin, target, up),
-        "sampler": {"type": "independent", "sample_count": spp},
-    }  # fmt: skip
 
 
 def floor(bsdf, size=10.0, y=0.0):
@@ -69,14 +49,6 @@ def sphere(center, radius, bsdf):
 def scene(integrator=None, sensor=None, **objects):
     sensor = sensor or look([0, 3, 0], [0, 0, 0])
     return {"type": "scene", "integrator": {"type": "whitted", **(integrator or {})}, "sensor": sensor, **objects}
-
-
-def rgb(*value):
-    return {"type": "rgb", "value": list(value)}
-
-
-def point(position, intensity=1.0):
-    return {"type": "point", "position": list(position), "intensity": intensity}
 
 
 # The contract's numbers ---------------------------------------------------------------------------
