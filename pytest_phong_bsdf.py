@@ -10,6 +10,7 @@ import os
 import re
 import shlex
 import warnings
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -85,11 +86,14 @@ def phong_variant(request):
     from phong_bsdf.checking.isolation import isolated
 
     variant = getattr(request, "param", None) or _default_variants(request.config)[0]
+    context, refusal = isolated(variant), ""
     try:
-        context = isolated(variant)
         context.__enter__()
     except (ValueError, ImportError) as error:
-        pytest.fail(str(error), pytrace=False)
+        refusal = str(error)
+    if refusal:
+        # Not in the `except`, where pytest would show both.
+        pytest.fail(refusal, pytrace=False)
     yield variant
     context.__exit__(None, None, None)
 
@@ -114,10 +118,10 @@ class RenderCheck:
         from phong_bsdf.checking import references
         from phong_bsdf.rendering import SceneError
 
-        try:
-            chosen = references.Options(**{**self.defaults, **options})
-        except TypeError as error:
-            raise TypeError(f"render_check: {error}") from None
+        options, known = {**self.defaults, **options}, [field.name for field in fields(references.Options)]
+        for unknown in sorted(options.keys() - set(known)):
+            pytest.fail(f"render_check: there is no option '{unknown}'; there are {', '.join(known)}", pytrace=False)
+        chosen = references.Options(**options)
         if isinstance(scene, str | Path):
             scene = self.scene_file(Path(scene))
         path = self.reference(name)
@@ -129,7 +133,8 @@ class RenderCheck:
                 refusal = str(error)
             if refusal:
                 self.fail(path, refusal, None)
-            self.node.user_properties.append(("phong_reference", str(references.files(path)[0])))
+            written = [file for file in references.files(path) if file.is_file()]
+            self.node.user_properties += [("phong_reference", str(file)) for file in written]
             return
         outcome, refusal = None, ""
         try:

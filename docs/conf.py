@@ -28,6 +28,9 @@ html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_copy_source = False
+html_use_index = False
+# Summaries are fetched, which browsers forbid to pages that are files.
+html_show_search_summary = False
 html_show_copyright = False
 # Indented blocks are commands and formulas.
 highlight_language = "none"

@@ -32,7 +32,7 @@ FOLDERS = {
     "course": "The course's test scenes, with its first camera.",
     "compare": "For `phong-bsdf compare`, which swaps their surfaces for Mitsuba's own.",
     "converge": "For `phong-bsdf converge`, which measures error against time.",
-    "inverse": "What [inverse-rendering.md](inverse-rendering.md) recovers from the picture alone.",
+    "inverse": "What [Inverse rendering](inverse-rendering.md) recovers from the picture alone.",
     "stress": "Scenes that are hard in float32. Some of them are one even grey, as they have to be.",
 }
 

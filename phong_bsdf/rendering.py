@@ -39,7 +39,7 @@ class LoadedScene:
         """Camera number `camera`, counted from 1."""
         sensors = self.scene.sensors()
         if not sensors:
-            raise SceneError(f"{self.path}: the scene has no sensor")
+            raise SceneError(f'{self.path}: the scene has no camera; add a <sensor type="perspective">')
         if not 1 <= camera <= len(sensors):
             raise SceneError(f"{self.path}: there is no camera {camera}, the scene has {len(sensors)}")
         return sensors[camera - 1]
@@ -158,6 +158,8 @@ def render(
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
+    if 0 in sensor.film().crop_size():
+        raise SceneError(f"{loaded.path}: the film has no pixels; its width and height must be at least 1")
     spp = spp or sensor.sampler().sample_count()
     try:
         if scene.integrator().aov_names():

@@ -83,6 +83,7 @@ def test_an_exr_with_a_mistake_and_one_with_a_hole(folder):
     image[3, 4] = np.nan
     images.write(folder / "a.exr", image)
     result = check("a.exr", "scene.xml", "--html", "out")
+    assert result.stdout.endswith("\nThe page: out/index.html\n")
     assert result.exit_code == 1 and "1 pixel of the picture is not finite, first at row 3, column 4" in result.stdout
     assert "Note: not diagnosed: pixels that are not finite come first." in result.stdout
     assert "not finite" in (folder / "out/a.html").read_text()

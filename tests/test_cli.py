@@ -287,6 +287,14 @@ def test_python_m(args):
     assert "phong-bsdf" in result.stdout.splitlines()[0]
 
 
+def test_help_lists_every_command_with_a_whole_sentence():
+    """In the order of the page; none is cut."""
+    result = CliRunner().invoke(main, ["--help"])
+    listed = result.output.partition("Commands:")[2]
+    assert re.findall(r"^  (\w+) ", listed, re.M) == list(main.commands)
+    assert "..." not in listed and listed.count(".\n") == len(main.commands)
+
+
 # Mistakes ---------------------------------------------------------------------------------------------------
 
 
@@ -308,8 +316,39 @@ def phong(parameter):
 BAD_SCENES = {
     "malformed": ("</shape>", "", "mismatch"),
     "attribute without quotes": ('"phong"', "phong", "attribute"),
-    "unknown plugin": (PHONG, '<bsdf type="phnog"/>', '"phnog" not found'),
-    "unknown parameter": (PHONG, phong('<float name="q" value="1"/>'), '"q"'),
+    "misspelt plugin": (
+        PHONG,
+        '<bsdf type="Blinn-Phong"/>',
+        r"there is no bsdf 'Blinn-Phong' \(did you mean 'blinnphong'\?\)$",
+    ),
+    "unknown plugin": (WHITTED, '<integrator type="ray"/>', "there is no integrator 'ray'$"),
+    "misspelt parameter": (
+        PHONG,
+        phong('<float name="k_s" value="1"/>'),
+        r"'phong' has no parameter 'k_s' \(did you mean 'ks'\?\)$",
+    ),
+    "unknown parameter": (
+        PHONG,
+        phong('<float name="q" value="1"/>'),
+        "'phong' has no parameter 'q'; it has kd, ks, p, ",
+    ),
+    "unknown parameters": (
+        PHONG,
+        phong('<float name="k_s" value="1"/><rgb name="q" value="1"/>'),
+        r"'phong' has no parameters 'k_s' \(did you mean 'ks'\?\), 'q'; it has kd, ",
+    ),
+    "parameter of Mitsuba's": (
+        '<emitter type="point">',
+        '<emitter type="point"><float name="falloff" value="1"/>',
+        "'point' has no parameter 'falloff'$",
+    ),
+    "twice the same parameter": (
+        PHONG,
+        phong('<rgb name="kd" value="1"/><float name="kd" value="0.5"/>'),
+        "0.5 .*already$",
+    ),
+    "no pixels": ('name="height" value="8"', 'name="height" value="0"', "the film has no pixels"),
+    "one surface inside of another": (PHONG, phong('<bsdf type="diffuse"/>'), "'phong' takes no SmoothDiffuse$"),
     "negative p": (PHONG, phong('<float name="p" value="-1"/>'), "'p' must be finite and >= 0, got -1"),
     "p is no number": (PHONG, phong('<float name="p" value="x"/>'), '"x"'),
     "p is a word": (PHONG, phong('<string name="p" value="x"/>'), "'p' must be finite and >= 0, got x"),
@@ -326,7 +365,7 @@ BAD_SCENES = {
         "nix.png.*No such file",
     ),
     "no integrator": (WHITTED, "", f"no integrator; add {WHITTED}"),
-    "no sensor": (SENSOR, "", "no sensor"),
+    "no sensor": (SENSOR, "", "no camera; add a <sensor"),
     "no scene": (SCENE, '<bsdf version="3.0.0" type="phong"/>', "no <scene>"),
     "empty file": (SCENE, "", "element"),
 }
@@ -362,7 +401,7 @@ BAD_OPTIONS = {
     "no such folder": (["-o", "no/a.exr"], "'no/a.exr' cannot be written: No such file or directory"),
     "output is a folder": (["-o", "folder.exr"], "'folder.exr' is a folder"),
     "no suffix": (["-o", "a"], "'a': an image file must end in .exr or .png"),
-    "-D unknown": (["-D", "nix=3"], "a.xml: the scene has no <default> for .*nix"),
+    "-D unknown": (["-D", "nix=3", "-D", "no=4"], "a.xml: the scene has no <default> for nix=3, no=4; add "),
     "-D value": (["-D", "kd=x"], rf'a.xml, line {line_of("$kd")}: .*"x"'),
     "-D refused by a plugin": (["-D", "format=x"], rf"a.xml, line {line_of('<film')}: .*Found x"),
     "no such camera": (["--camera", "2"], "a.xml: there is no camera 2, the scene has 1"),

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 from phong_bsdf import demo
-from phong_bsdf.cli import main
+from phong_bsdf.cli import main, session
 
 LECTURE = sorted((Path(__file__).parent.parent / "scenes/lecture").glob("*.xml"))
 
@@ -49,6 +49,14 @@ def test_a_changed_scene_is_kept(folder):
     Path("demo/lights.xml").write_text("mine")
     assert run("-o", "demo").exit_code == 0
     assert Path("demo/lights.xml").read_text() == "mine" and Path("demo/models.xml").is_file()
+
+
+def test_its_advice_can_be_copied(folder, monkeypatch):
+    """Also by who calls it by its path, as `make demo` does."""
+    assert run().stdout.endswith("then: phong-bsdf render demo/models.xml -o new.png\n")
+    monkeypatch.setattr("sys.argv", [".venv/bin/phong-bsdf"])
+    monkeypatch.setenv("PATH", "")
+    assert session.to_copy("render", "a b.xml") == ".venv/bin/phong-bsdf render 'a b.xml'"
 
 
 def test_a_bad_folder(folder):

@@ -174,11 +174,12 @@ def run_shell(text):
 
 
 def run_python(text, place, names):
-    """As it stands, after the page's earlier blocks; tests become the file that the page calls test_it.py."""
+    """As it stands, after the page's earlier blocks; tests become the file that the page calls test_it.py, and run."""
     code = compile(text, place, "exec")
     if "def test_" in text:
         with open("test_it.py", "w") as file:
             file.write(text)
+        run_pytest("--phong-update-references", "test_it.py")
         return
     exec(code, names)
     if "image" in names:

@@ -661,6 +661,22 @@ def test_missing_files_are_told(convert, tmp_path):
     assert str(result.losses[1]) == "old.xml, line 2: file 'no.obj': there is no such file"
 
 
+@pytest.mark.parametrize(
+    ("inside", "model", "told"),
+    [
+        ("", "mtllib a.mtl\n", True),
+        ("", "# no materials\n", False),
+        ('<bsdf type="diffuse"/>', "mtllib a.mtl\n", False),
+        ('<boolean name="loadMaterials" value="false"/>', "mtllib a.mtl\n", False),
+    ],
+)
+def test_materials_of_a_model(convert, tmp_path, inside, model, told):
+    """0.6 took them from the MTL file, Mitsuba 3 does not."""
+    (tmp_path / "a.obj").write_text(model + "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    result, _, _ = convert(f'<shape type="obj"><string name="filename" value="a.obj"/>{inside}</shape>')
+    assert [r.what for r in result.losses if "MTL" in r.what] == ["MTL materials of 'a.obj'"] * told
+
+
 def test_aliases_and_references(convert):
     """References through an alias count as what they stand for."""
     _, _, scene = convert(

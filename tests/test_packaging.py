@@ -94,11 +94,16 @@ def test_the_package_is_the_installed_one(installed, tmp_path):
     assert Path(file).is_relative_to(installed.parent) and name == "MirrorBlend"
 
 
-def test_without_extras_a_command_says_what_is_missing(installed, tmp_path):
-    """One sentence with the remedy, instead of a traceback."""
-    command = [installed / "phong-bsdf", "compare", ROOT / "scenes/compare/floor.xml", "-o", "out"]
+@pytest.mark.parametrize(
+    ("extra", "arguments"),
+    [("report", "compare SCENE -o out"), ("cluster", "render SCENE -o out.exr --cluster local")],
+)
+def test_without_extras_a_command_says_what_is_missing(installed, tmp_path, extra, arguments):
+    """One sentence with the remedy, instead of a traceback; nothing is left."""
+    arguments = arguments.replace("SCENE", str(ROOT / "scenes/compare/floor.xml")).split()
+    command = [installed / "phong-bsdf", *arguments]
     result = subprocess.run(command, capture_output=True, text=True, env=CLEAN, cwd=tmp_path)
-    assert result.returncode == 2 and "pip install 'phong-bsdf[report]'" in result.stderr
+    assert result.returncode == 2 and f"pip install 'phong-bsdf[{extra}]'" in result.stderr
     assert "Traceback" not in result.stderr and not list(tmp_path.iterdir())
 
 

@@ -103,7 +103,14 @@ def test_options_and_markers(project):
     project(test=marked.format(", absolute=0.01")).assert_outcomes(failed=1)
     result = project(test=BALL.format(", tolerance=1"))
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*unexpected keyword argument 'tolerance'*"])
+    result.stdout.fnmatch_lines(["render_check: there is no option 'tolerance'; there are camera, size, *, passes"])
+
+
+def test_a_scene_that_is_missing_is_told_before_its_reference(project):
+    """A misspelt name would else be told only to who runs the command that makes the reference."""
+    result = project(test=BROKEN)
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(["*no.xml: there is no such file"])
 
 
 SCENES = """
@@ -198,15 +205,20 @@ def test_noise(project):
     scene = project.path / "scene.xml"
     scene.write_text(scene.read_text().replace("</scene>", sky))
     test = "def test_noisy(render_check):\n    render_check('scene.xml'" + noisy
-    project("--phong-update-references", test=test.replace("KD", "0.8").replace("SEED", "0"))
-    names = sorted(p.name for p in (project.path / "references/test_it").iterdir())
-    assert names == ["test_noisy-variance.exr", "test_noisy.exr"]
+    written = project("--phong-update-references", test=test.replace("KD", "0.8").replace("SEED", "0")).stdout
+    files = sorted((project.path / "references/test_it").iterdir())
+    assert [file.name for file in files] == ["test_noisy-variance.exr", "test_noisy.exr"]
+    written.fnmatch_lines([f"*/{file.name}" for file in files])
     for seed in ("0", "1000"):
         project(test=test.replace("KD", "0.8").replace("SEED", seed)).assert_outcomes(passed=1)
     result = project("--phong-report", "out", test=test.replace("KD", "0.85").replace("SEED", "0"))
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*tiles of 16 x 16 pixels differ by more than noise*brighter*"])
     assert "differ by more than noise" in (project.path / "out/test_it-test_noisy.html").read_text()
+    # Who commits one of the two files only is told.
+    files[0].unlink()
+    result = project(test=test.replace("KD", "0.8").replace("SEED", "0"))
+    result.stdout.fnmatch_lines(["*test_noisy-variance.exr' is missing*--phong-update-references*"])
 
 
 @pytest.mark.slow
@@ -257,6 +269,7 @@ def test_variants(project):
     result = project(test=VARIANTS.replace("scalar_rgb", "no_such_variant").replace(', "llvm_ad_rgb_polarized"', ""))
     result.assert_outcomes(passed=1, errors=1)
     result.stdout.fnmatch_lines(["*there is no variant 'no_such_variant'*"])
+    assert "During handling" not in result.stdout.str()
     args = ["--phong-variant", "llvm_ad_rgb", "--phong-variant", "scalar_rgb"]
     plain = BALL.format(", spp=1, name='test_ball'")
     project(*args, test=plain).assert_outcomes(passed=2)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from phong_bsdf.cli import main
+from phong_bsdf.importers import catalogue
 from phong_bsdf.registry import PLUGINS
 
 ROOT = Path(__file__).parent.parent
@@ -60,6 +61,16 @@ def test_pages_need_no_network_and_fit_a_phone(site, browser):
             assert window.evaluate(broken) == []
 
 
+def test_search_works_without_a_server(site, browser):
+    """It finds the pages, and asks for nothing that a browser forbids to files."""
+    with shown(browser, site / "search.html") as page:
+        page.locator(".sidebar-search").fill("mirrorblend")
+        page.locator(".sidebar-search").press("Enter")
+        page.locator("#search-results li").first.wait_for()
+        page.wait_for_load_state("networkidle")
+        assert "Plugins" in page.locator("#search-results").inner_text()
+
+
 def test_formulas_are_drawn(site, browser):
     """Fractions have a height, and nobody sees LaTeX."""
     with shown(browser, site / "model.html") as page:
@@ -81,6 +92,14 @@ def test_manuals_of_the_plugins(site, browser):
         formula = page.locator("section#blinnphong pre").first.inner_text()
         assert formula.strip() == "L = k_d I max(0, n.l) + k_s I max(0, n.h)^p,    h = (v + l) / |v + l|,"
         assert page.locator(".problematic, .system-message").count() == 0
+
+
+@pytest.mark.parametrize("plugin", PLUGINS)
+def test_the_catalogue_has_what_the_manuals_have(plugin):
+    """The errors about misspelt parameters list those of this package's plugins."""
+    source = (ROOT / f"phong_bsdf/plugins/{plugin}.py").read_text()
+    rows = re.findall(r"^    (\w+)  .*(?:>=|\[0|boolean|number|integer|course)", source, re.M)
+    assert len(rows) > 0 and set(rows) <= set(catalogue.PLUGINS[PLUGINS[plugin]][plugin].split())
 
 
 def test_manuals_of_the_commands(site):

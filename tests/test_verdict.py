@@ -46,6 +46,8 @@ def test_brightness_is_told(picture):
     """That all of it is too bright is the first hint at a mistake."""
     assert "On the whole it is 5 % brighter." in verdict.compare(picture * 1.05, picture).words
     assert "On the whole it is 5 % darker." in verdict.compare(picture * 0.95, picture).words
+    assert "On the whole it is 99 % darker." in verdict.compare(picture * 0.0051, picture).words
+    assert "On the whole it is black." in verdict.compare(picture * 0, picture).words
     assert "On the whole it is 3 times as bright." in verdict.compare(picture * 3, picture).words
 
 

@@ -91,6 +91,8 @@ def update(path: Path, scene, options: Options) -> None:
 
 def check(path: Path, scene, options: Options) -> Outcome:
     """Compare with the reference; `NoReference` where there is none, ValueError where sizes differ."""
+    # First, so that a mistake in the scene is told before a missing reference.
+    render = _renderer(scene, options)
     picture, variance = files(path)
     if not picture.is_file():
         raise NoReference(f"there is no reference '{picture}'")
@@ -101,7 +103,8 @@ def check(path: Path, scene, options: Options) -> Outcome:
     except Exception as error:
         # OpenEXR raises whatever its C++ side throws.
         raise NoReference(f"the reference '{picture}' cannot be read: {error}") from None
-    render = _renderer(scene, options)
+    if passes > 1 and scatter is None:
+        raise NoReference(f"'{variance}' is missing, which belongs to the reference '{picture.name}'")
     if scatter is None:
         actual = render(options.seed, 1)
         limits = {"absolute": options.absolute, "relative": options.relative, "ulps": options.ulps}

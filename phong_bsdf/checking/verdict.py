@@ -241,6 +241,8 @@ def _brightness(actual, expected) -> str:
         return ""
     if found >= 2 * wanted:
         return f" On the whole it is {found / wanted:.2g} times as bright."
+    if found < 0.005 * wanted:
+        return " On the whole it is black."
     return f" On the whole it is {100 * abs(found / wanted - 1):.2g} % {'brighter' if found > wanted else 'darker'}."
 
 

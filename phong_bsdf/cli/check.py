@@ -74,6 +74,7 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
         said = report.json_text(assignment, grades)
     else:
         said = "".join(report.text(grade) + "\n" for grade in grades) if len(grades) < FEW else report.table(grades)
+        said += f"The page: {folder / 'index.html'}\n" if folder else ""
     click.echo(said, nl=False, err=code == 2 and not as_json)
     sys.exit(code)
 

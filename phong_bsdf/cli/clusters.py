@@ -79,4 +79,5 @@ def _choice(text, seconds, root, tls) -> Choice | None:
         return None
     from ..cluster import connection
 
+    connection.check_installed()
     return Choice(connection.address(text, tls), seconds, root)

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from ..vocabulary import VOCABULARIES
-from .session import errors, progress, start
+from .session import errors, progress, start, to_copy
 
 
 @click.command()
@@ -51,7 +51,7 @@ def convert(source, output, vocabulary, camera, root, check):
     if not has_camera:
         click.echo("\nIt has no camera yet: add a <sensor> to render it.")
         return
-    click.echo(f"\nRender it with: phong-bsdf render {output} -o {output.with_suffix('.png')}")
+    click.echo(f"\nRender it with: {to_copy('render', output, '-o', output.with_suffix('.png'))}")
 
 
 def _load(scene: Path) -> tuple[bool, str | None]:

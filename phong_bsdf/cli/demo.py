@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from .options import mode_option, threads_option, verbose_option
-from .session import errors, progress, start
+from .session import errors, progress, start, to_copy
 
 
 @click.command()
@@ -38,4 +38,4 @@ def demo(folder, spp, variant, threads, verbose):
                 said.append(f"{path}: {picture.shows}")
                 show("rendering", len(said) / total)
     click.echo("\n".join(said))
-    click.echo(f"\nThe scenes are beside them. Change one, then: phong-bsdf render {scene} -o new.png")
+    click.echo(f"\nThe scenes are beside them. Change one, then: {to_copy('render', scene, '-o', 'new.png')}")

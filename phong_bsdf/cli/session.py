@@ -1,8 +1,11 @@
-"""What every command does first and last: variant and threads, a progress bar, errors as sentences."""
+"""What every command does first and last: variant and threads, a progress bar, errors and advice as sentences."""
 
 import os
+import shlex
+import shutil
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import click
 
@@ -36,6 +39,14 @@ def drjit_has_llvm() -> bool:
     import drjit
 
     return drjit.detail.llvm_version()[0] >= llvm.OLDEST
+
+
+def to_copy(*words) -> str:
+    """A command for the user's shell: `phong-bsdf` as this one was called, where it is not on the PATH."""
+    name, called = "phong-bsdf", sys.argv[0]
+    if Path(called).name == name and shutil.which(name) is None:
+        name = called
+    return shlex.join([name, *map(str, words)])
 
 
 @contextmanager

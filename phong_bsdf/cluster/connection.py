@@ -170,13 +170,18 @@ class Cluster:
             raise ClusterError(f"--cluster: {self.where} does not answer: {reason}") from None
 
 
-@contextlib.contextmanager
-def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
-    """A cluster whose versions are those of this process. A local one is started, and ended."""
+def check_installed() -> None:
+    """ClusterError where Dask is missing."""
     try:
         import distributed  # noqa: F401
     except ImportError:
         raise ClusterError(f"--cluster needs dask.distributed; {INSTALL}") from None
+
+
+@contextlib.contextmanager
+def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
+    """A cluster whose versions are those of this process. A local one is started, and ended."""
+    check_installed()
     if not verbose:
         # Lost workers and schedulers are told by this package, in a line.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)

@@ -242,12 +242,27 @@ def _shape(node: Node, context: Context) -> None:
         )
     for child in surfaces[:1]:
         child.attrib.pop("name", None)
+    if node.type == "obj" and not surfaces:
+        _materials_of_model(node, context)
     media = [n for n in node.nodes if getattr(context.target(n), "tag", "") == "medium"]
     if media and not surfaces and not any(n.tag == "emitter" for n in node.nodes):
         node.add("bsdf", type="null")
         context.journal.change(
             node.place, f"'{node.type}' of a medium without BSDF", "now 'null', as Mitsuba 0.6 had it"
         )
+
+
+def _materials_of_model(node: Node, context: Context) -> None:
+    """An OBJ file without a BSDF in the scene had the materials of its MTL file; Mitsuba 3 reads only its shape."""
+    given, wanted = node.find_named("filename"), node.find_named("load_materials")
+    path = context.filename(given) if given is not None else None
+    if path is None or not path.is_file() or (wanted is not None and wanted.get("value") == "false"):
+        return
+    with path.open("rb") as lines:
+        if not any(line.lstrip().startswith(b"mtllib") for line in lines):
+            return
+    why = "Mitsuba 3 does not read them; the shape is grey. Of the OBJ file itself phong-bsdf convert makes BSDFs"
+    context.journal.loss(node.place, f"MTL materials of '{given.get('value')}'", why)
 
 
 def _medium(node: Node, context: Context) -> None:
