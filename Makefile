@@ -42,13 +42,14 @@ inverse: $(READY)
 
 # Measures the table and the plot of docs/stability.md: a minute.
 stability: $(READY)
-	@$(BIN)/python docs/sweep.py
+	@$(BIN)/python docs/stability.py
 
 # Measures the three scenes of docs/error-vs-time.md: some five minutes. What is in out/study is not measured again.
 study: $(READY)
 	@$(BIN)/python docs/study.py
 
-# All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md.
+# All benchmarks take some minutes; ONLY="floor cold" runs those two, ARGS=--quick tiny sizes, ARGS=--docs writes docs/speed.md,
+# where the table of `explain` is one of those.
 bench: $(READY)
 	@mkdir -p out/bench
 	@$(BIN)/phong-bsdf explain scenes/lecture/mirror-floor.xml -o out/bench > /dev/null

@@ -172,12 +172,14 @@ class RenderCheck:
         return folder / _file_name(name)
 
     def command(self) -> str:
+        """What accepts the new picture of this test."""
         # From the folder in which pytest was started: names of tests are from its root.
         file = os.path.relpath(self.node.path, self.config.invocation_params.dir)
         _, colons, test = self.node.nodeid.partition("::")
         return f"pytest --phong-update-references {shlex.quote(file + colons + test)}"
 
     def fail(self, path: Path, words: str, outcome) -> None:
+        """Fail the test with these words; with an `outcome`, and where pages are asked for, with a page."""
         folder, page = self.config.getoption("--phong-report"), ""
         if folder is not None and outcome is not None:
             from phong_bsdf.report import render_check

@@ -1,6 +1,5 @@
 """Draws the figures that take no measuring: `make figures`, or with names of files in docs/images only those."""
 
-import io
 import itertools
 import sys
 from contextlib import contextmanager
@@ -11,7 +10,6 @@ from unittest import mock
 import phong_bsdf  # noqa: F401
 
 import mitsuba as mi  # isort: skip
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -20,6 +18,7 @@ mi.set_variant("llvm_ad_rgb")
 from pages import IMAGES, below, beside, error_map  # noqa: E402
 
 from phong_bsdf import albedo, comparison, images, lobes, rendering  # noqa: E402
+from phong_bsdf.report import page  # noqa: E402
 from phong_bsdf.stability import naive  # noqa: E402
 
 SCENES = Path(__file__).parent.parent / "scenes"
@@ -147,7 +146,6 @@ def highlights():
 
 def albedo_curves():
     """The directional albedo of both lobes in both vocabularies, over the angle of incidence."""
-    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     degrees = np.linspace(0, 90, 181)
     cos = np.cos(np.radians(degrees)).clip(0)
@@ -161,9 +159,7 @@ def albedo_curves():
     figure.axes[0].legend()
     for axes in figure.axes[2:]:
         axes.set_xlabel("angle of incidence in degrees")
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()
+    return page.svg_file(figure)
 
 
 def compared():

@@ -19,9 +19,6 @@ from .importers.xmlfile import Node
 
 NAME = re.compile(r"[0-9a-f]{64}(\.[A-Za-z0-9]{1,16})?")
 
-# As Mitsuba.
-DEEPEST_INCLUDE = 15
-
 
 class BundleError(ValueError):
     """A scene that cannot be packed, or a bundle that cannot be trusted."""
@@ -124,8 +121,8 @@ class _Packer:
 
     def add_scene(self, path: Path, outer: Sequence[Path]) -> str:
         """The name of an XML file once it is packed. `outer`: the folders that Mitsuba searches for what it names."""
-        if len(outer) > DEEPEST_INCLUDE:
-            raise BundleError(f"'{path}': files include each other more than {DEEPEST_INCLUDE} deep")
+        if len(outer) > xmlfile.DEEPEST_INCLUDE:
+            raise BundleError(f"'{path}': files include each other more than {xmlfile.DEEPEST_INCLUDE} deep")
         tree = xmlfile.read(path, comments=False)
         folders = [path.parent, *outer]
         for node in tree.all():

@@ -11,7 +11,6 @@ LANES = 2**26
 # Consecutive numbers are far apart when multiplied by this, modulo 2^32: the golden ratio.
 STRIDE = 0x9E3779B9
 
-
 # All cells of the grid.
 WHOLE = (1, (0, 0))
 
@@ -25,6 +24,17 @@ def grid(spp: int) -> int | None:
 def draws(sensor) -> bool:
     """Whether a camera needs random numbers beside the position in a pixel: for wavelengths, time or lens."""
     return mi.is_spectral or sensor.shutter_open_time() > 0 or sensor.needs_aperture_sample()
+
+
+def samples_taken(sampler, spp: int) -> int:
+    """Samples per pixel that a sampler takes when asked for `spp`: they round as they need. It keeps that number."""
+    before = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        sampler.set_sample_count(spp)
+    finally:
+        mi.set_log_level(before)
+    return int(sampler.sample_count())
 
 
 class CameraSamples:

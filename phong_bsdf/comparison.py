@@ -225,7 +225,7 @@ def _swap(path: Path, state, picture: str, surface: surfaces.Surface, choice: Ch
 
 
 def _specular_albedo(description: Mapping[str, object]) -> float:
-    """At normal incidence, of a BSDF as `mitsuba.load_dict` takes it, but for its colours."""
+    """The albedo at normal incidence of a BSDF, described as `mitsuba.load_dict` takes it, but for its colours."""
     return curves.albedo(_load(description), 0)
 
 

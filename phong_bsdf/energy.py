@@ -9,6 +9,9 @@ import itertools
 import drjit as dr
 import mitsuba as mi
 
+# What is left of all light where a surface would reflect more of it.
+CONSERVED = 0.99
+
 # Scalar variants look at a texture at this many points a side, all others at each texel.
 SCALAR_POINTS = 64
 
@@ -22,9 +25,13 @@ def scale(diffuse, specular) -> float:
     first, second = _maxima(diffuse), _maxima(specular)
     channels = max(len(first), len(second))
     first, second = (m * channels if len(m) == 1 else m for m in (first, second))
-    largest = max(a + b for a, b in zip(first, second, strict=True))
+    return factor(max(a + b for a, b in zip(first, second, strict=True)))
+
+
+def factor(largest: float) -> float:
+    """What to multiply both reflectances with where the largest channel of their sum is this."""
     # 0.4 and 0.6 in float32 are 1 and a rounding.
-    return 0.99 / largest if largest > 1 + 1e-6 else 1.0
+    return CONSERVED / largest if largest > 1 + 1e-6 else 1.0
 
 
 def _maxima(parameter) -> list[float]:

@@ -58,12 +58,12 @@ class Products:
     """Reference pass with reference pass, (k, k). With k = 1 the reference counts as exact."""
 
     def without_pass(self, i: int) -> "Products":
-        """As if pass `i` had not been made."""
+        """The products as if pass `i` had not been made."""
         xx = np.delete(np.delete(self.xx, i, 0), i, 1)
         return replace(self, xx=xx, xr=np.delete(self.xr, i, 0))
 
     def without_reference_pass(self, i: int) -> "Products":
-        """As if pass `i` of the reference had not been made."""
+        """The products as if pass `i` of the reference had not been made."""
         rr = np.delete(np.delete(self.rr, i, 0), i, 1)
         return replace(self, rr=rr, xr=np.delete(self.xr, i, 1))
 
@@ -130,7 +130,7 @@ def error(p: Products, confidence: float = CONFIDENCE) -> Estimate:
 
 
 def errors(p: Products) -> list[float]:
-    """The same for each pass alone."""
+    """The squared error of each pass alone against the true reference."""
     return [float(p.xx[i, i] - 2 * np.mean(p.xr[i]) + _between(p.rr)) for i in range(len(p.xx))]
 
 

@@ -10,11 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from .camera import CameraSamples
-from .needs import FEATURES, REQUIRED, is_delta
+from .needs import FEATURES, LIGHTS, REQUIRED, is_delta
 from .rendering import WHITTED, LoadedScene, SceneError, resize
-
-# Plugins by the names of their classes.
-LIGHTS = {"PointLight": "point", "SpotLight": "spot", "Projector": "projector", "DirectionalEmitter": "directional"}
 
 # Measured pictures have no more samples than this: enough to keep every core busy for some milliseconds.
 MOST_SAMPLES = 2**20
@@ -140,7 +137,8 @@ def _facts(scene, sensor, spp, integrator) -> dict:
     """What the scene has: text for each of the features, and (text, whether it is there, what is left out) for more."""
     tracer = integrator.tracer(scene)
     bsdfs = {b.ptr: b for b in (shape.bsdf() for shape in scene.shapes()) if b is not None}.values()
-    lights = Counter(LIGHTS.get(e.class_name(), e.class_name()) for e in scene.emitters() if is_delta(e))
+    plugins = {kind: plugin for plugin, kind in LIGHTS.items()}
+    lights = Counter(plugins.get(e.class_name(), e.class_name()) for e in scene.emitters() if is_delta(e))
     textured = any(mi.has_flag(b.flags(), mi.BSDFFlags.SpatiallyVarying) for b in bsdfs)
     film = sensor.film()
     box = film.rfilter().is_box_filter()

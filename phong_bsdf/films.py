@@ -11,7 +11,7 @@ def is_plain(film) -> bool:
 
 
 def channel_count(film) -> int:
-    """Of a plain film."""
+    """How many channels the picture of a plain film has."""
     return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
 
 

@@ -4,6 +4,7 @@ Two machines, and a scene and its copy elsewhere, have the same fingerprint.
 """
 
 import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator
 from importlib import metadata
@@ -12,7 +13,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import __version__, passes, rendering
+from . import __version__, rendering
 
 # Said beside the scene: how many samples, how large a picture.
 LEFT_OUT = {mi.ObjectType.Sampler: {"sample_count"}, mi.ObjectType.Film: {"width", "height"}}
@@ -26,7 +27,7 @@ def versions() -> str:
 
 
 def scene_hash(path: Path, state, hashed: Callable[[Path], str] | None = None) -> str:
-    """Of all that a parsed scene says, its defines put in, and of the content of every file that it names.
+    """A hash of all that a parsed scene says, its defines put in, and of the content of every file that it names.
 
     Ids, numbers of samples and sizes of films are left out, and so are the names of files. `state`
     comes from `rendering.parse(path, merge=False)`. ValueError where a file cannot be read. `hashed`: `file_hash`,
@@ -39,7 +40,7 @@ def scene_hash(path: Path, state, hashed: Callable[[Path], str] | None = None) -
         said = sorted(set(node.props.keys()) - LEFT_OUT.get(node.type, set()))
         values = [[key, files.get((index, key)) or _text(node.props, key)] for key in said]
         lines.append([str(node.type), node.props.plugin_name(), values])
-    return passes.digest(lines, LENGTH)
+    return digest(lines, LENGTH)
 
 
 def named_files(path: Path, state) -> Iterator[tuple[int, str, Path]]:
@@ -53,6 +54,12 @@ def named_files(path: Path, state) -> Iterator[tuple[int, str, Path]]:
                     # Not `Path.is_file`, which raises for names that are too long.
                     if os.path.isfile(found):
                         yield index, key, Path(found)
+
+
+def digest(value: object, length: int = 12) -> str:
+    """A short hash of what JSON can hold."""
+    text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
 def file_hash(path: Path) -> str:

@@ -88,7 +88,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_checked(path: Path) -> np.ndarray:
-    """The same as `read_exr`; ValueError where the file is not, bit by bit, what `write` wrote."""
+    """The image in an EXR file, as `read_exr` has it; ValueError where it is not, bit by bit, what `write` wrote."""
     try:
         # The library says what is wrong on stdout; before 3.5.3 it fails where there is none.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -157,7 +157,7 @@ def _checksum(image: np.ndarray) -> str:
 
 
 def png(image: np.ndarray, *, linear: bool = False) -> bytes:
-    """The bytes of a PNG file, as `write` writes it."""
+    """The bytes of a PNG file of an image, (height, width, 1 to 4 channels), as `write` writes it."""
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 

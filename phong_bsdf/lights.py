@@ -10,7 +10,7 @@ import operator
 import drjit as dr
 import mitsuba as mi
 
-from .needs import is_delta
+from .needs import LIGHTS, is_delta
 from .parameters import Watch, channels
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
@@ -21,7 +21,7 @@ FEW = 4
 INTENSITIES = ("intensity.value", "irradiance.value")
 
 # Emitters whose intensity is the same in all directions.
-UNIFORM = ("PointLight", "DirectionalEmitter")
+UNIFORM = (LIGHTS["point"], LIGHTS["directional"])
 
 
 class Dark:

@@ -49,7 +49,7 @@ class Lobe:
     @property
     def alpha(self) -> float:
         """Microfacet roughness."""
-        return math.sqrt(2 / (self.blinn_exponent + 2))
+        return roughness(self.blinn_exponent)
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,11 @@ class Match:
     parameters: dict[str, object]
     """Numbers, colours (tuples), words, or `Carried`."""
     notes: tuple[str, ...] = ()
+
+
+def roughness(exponent: float) -> float:
+    """Roughness alpha of the microfacets, Beckmann's, whose highlight looks like a Blinn-Phong lobe."""
+    return math.sqrt(2 / (exponent + 2))
 
 
 @cache
@@ -169,7 +174,7 @@ _MATCHES = {
 
 
 def _with_base(plugin, name, parameters, lobe, given, notes):
-    """With the diffuse part under the parameter `name`."""
+    """The match, with the diffuse part under the parameter `name`."""
     if name in given:
         return Match(plugin, parameters, tuple(notes))
     base = Carried("diffuse")

@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from . import lobes
+from .needs import has_instances
 from .parameters import Watch
 from .spawn import shape_numbers
 
@@ -39,9 +40,8 @@ class Material:
 
 def is_isotropic(scene) -> bool:
     """Whether all BSDFs are this package's, which reflect alike whatever frame there is about the normal."""
-    shapes = scene.shapes()
-    own = all(getattr(shape.bsdf(), "serial", None) is not None for shape in shapes)
-    return own and not any(shape.class_name() == "Instance" for shape in shapes)
+    own = all(getattr(shape.bsdf(), "serial", None) is not None for shape in scene.shapes())
+    return own and not has_instances(scene)
 
 
 class Table:
@@ -63,19 +63,19 @@ class Table:
         pointers = scene.shapes_dr()
         if serials != self.serials or pointers.index != self.pointers.index or self.watch.changed():
             self.pointers = pointers
-            self._look(shapes, bsdfs, serials)
+            self._look(scene, bsdfs, serials)
         if self.materials is None:
             return None
         if keep not in self.columns:
             self.columns[keep] = Materials(scene, self.materials, keep)
         return self.columns[keep]
 
-    def _look(self, shapes, bsdfs, serials):
+    def _look(self, scene, bsdfs, serials):
         self.serials, self.columns = serials, {}
         known = {bsdf.serial: bsdf for bsdf in bsdfs}
         self.watch = Watch([array for bsdf in known.values() for array in bsdf.arrays()])
         constants = {serial: bsdf.constants() for serial, bsdf in known.items()}
-        whole = None not in constants.values() and not any(shape.class_name() == "Instance" for shape in shapes)
+        whole = None not in constants.values() and not has_instances(scene)
         self.materials = [constants[serial] for serial in serials] if whole else None
 
 

@@ -18,11 +18,9 @@ NULL = int(mi.BSDFFlags.Null)
 # is under it undiminished. Adapters (`twosided`, `mask`, ...) pass both on.
 MIRRORLESS = 1 << 30
 
-
-# Emitters that `whitted` serves, by the names of their plugins.
-LIGHTS = ("point", "spot", "projector", "directional")
-BACKGROUNDS = ("constant", "envmap")
-BACKGROUND_CLASSES = ("ConstantBackgroundEmitter", "EnvironmentMapEmitter")
+# Emitters that `whitted` serves: plugin -> class.
+LIGHTS = {"point": "PointLight", "spot": "SpotLight", "projector": "Projector", "directional": "DirectionalEmitter"}
+BACKGROUNDS = {"constant": "ConstantBackgroundEmitter", "envmap": "EnvironmentMapEmitter"}
 
 # What a kernel holds only where the scene needs it, and what it lacks where not; `keep` of the functions below names
 # what it holds all the same.
@@ -73,7 +71,7 @@ class DeltaLobes:
 def check_lights(scene) -> None:
     """Raises `UnsupportedScene` for lights that have no single direction."""
     for emitter in scene.emitters():
-        if not is_delta(emitter) and emitter.class_name() not in BACKGROUND_CLASSES:
+        if not is_delta(emitter) and emitter.class_name() not in BACKGROUNDS.values():
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
 
 
@@ -123,6 +121,11 @@ def prepared(found: DeltaLobes, keep) -> DeltaLobes:
     )
 
 
+def has_instances(scene) -> bool:
+    """Whether some shape is an instance: what is inside of it, Mitsuba does not list."""
+    return any(shape.class_name() == "Instance" for shape in scene.shapes())
+
+
 def wake(scene) -> None:
     """Tell the BSDFs of `scene` which constants are being differentiated: a 0 among them must not be left out."""
     params = mi.traverse(scene)
@@ -134,10 +137,9 @@ def wake(scene) -> None:
 
 def _bsdfs(scene) -> list:
     """Every BSDF that a ray can meet in `scene`."""
-    shapes = scene.shapes()
-    found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in shapes) if bsdf is not None}
-    if dr.is_jit_v(mi.Float) and any(shape.class_name() == "Instance" for shape in shapes):
-        # Mitsuba does not list what is inside of an instance: ask for every BSDF alive, of other scenes too.
+    found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in scene.shapes()) if bsdf is not None}
+    if dr.is_jit_v(mi.Float) and has_instances(scene):
+        # Ask for every BSDF alive, of other scenes too.
         missing, i = 0, 1
         while missing < 64:
             try:

@@ -21,7 +21,6 @@ FAINT = 1e-15
 # An exponent beyond counts as this: its highlight is smaller than what float32 directions resolve.
 LARGEST_EXPONENT = 1e15
 
-
 # Constant textures whose value is the array that they hold, in variants that render RGB.
 PLAIN = ("UniformSpectrum", "SRGBReflectanceSpectrum")
 

@@ -80,6 +80,7 @@ class Part:
 
     @property
     def spp(self) -> int:
+        """Samples per pixel of all of it."""
         return sum(samples.spp for samples in self.samples)
 
 

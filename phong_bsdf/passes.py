@@ -6,10 +6,7 @@ finished, and the next run goes on from there.
 
 import contextlib
 import dataclasses
-import hashlib
 import json
-import os
-import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,22 +121,6 @@ class Store:
     def path(self, key: str, spp: int, repeat: int) -> Path:
         """Where a pass is, or will be."""
         return self.passes / key / f"{spp:06}-spp-repeat-{repeat:03}.exr"
-
-
-def digest(value: object, length: int = 12) -> str:
-    """A short hash of what JSON can hold."""
-    text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:length]
-
-
-def machine(threads: int) -> str:
-    """What times depend on, in words."""
-    model = platform.processor()
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return ", ".join(filter(None, (platform.machine(), model, f"{cores} cores", f"{threads} threads")))
 
 
 def _lock(file, folder: Path) -> None:

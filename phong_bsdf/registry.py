@@ -33,6 +33,12 @@ def register() -> None:
     _on_variant_change(None, mi.variant())
 
 
+def check_variant(name: str) -> None:
+    """ValueError where this Mitsuba does not have the variant."""
+    if name not in mi.variants():
+        raise ValueError(f"there is no variant '{name}'; this Mitsuba has {', '.join(mi.variants())}")
+
+
 def _on_variant_change(old: str | None, new: str | None) -> None:
     try:
         llvm.check(new or "")

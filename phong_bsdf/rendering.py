@@ -1,12 +1,9 @@
 """Load a scene file, render it, and say what that took.
 
-Everything a user can get wrong in a scene is a `SceneError` here: one sentence that
-names the file and the line where Mitsuba knows them.
+Everything a user can get wrong in a scene is a `SceneError` here.
 """
 
 import contextlib
-import re
-import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,16 +15,14 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import misspelt, needs
+from . import needs
+from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
 
+# The class of the integrator `whitted`.
 WHITTED = "Whitted"
-
-
-class SceneError(ValueError):
-    """A scene that cannot be loaded or rendered as asked."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def parse(path: Path, defines: Mapping[str, str] | None = None, *, merge: bool =
             state = mi.parser.parse_file(config, str(path), **(defines or {}))
             mi.parser.transform_all(config, state)
     except RuntimeError as error:
-        raise SceneError(explain(error, path)) from None
+        raise SceneError(sentence(error, path)) from None
     return state
 
 
@@ -108,7 +103,7 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
             return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
     except RuntimeError as error:
-        raise SceneError(explain(error, path)) from None
+        raise SceneError(sentence(error, path)) from None
 
 
 def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None = None) -> LoadedScene:
@@ -124,7 +119,7 @@ def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None 
         try:
             needs.check_lights(scene)
         except needs.UnsupportedScene as error:
-            raise SceneError(_locate(error, path, state)) from None
+            raise SceneError(located(error, path, state)) from None
     return LoadedScene(Path(path), scene, integrator, time.perf_counter() - start)
 
 
@@ -175,49 +170,11 @@ def render(
                 on_progress(share)
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
-        raise SceneError(explain(error, loaded.path)) from None
+        raise SceneError(sentence(error, loaded.path)) from None
     seconds = max(seconds - compiling.seconds, 0.0)
     return Rendering(
         image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
     )
-
-
-def explain(error: BaseException, path: Path) -> str:
-    """One sentence for an error of Mitsuba: where, and what, without its C++ and Python frames."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    if isinstance(error, KeyboardInterrupt):
-        raise error
-    text = str(error)
-    # The innermost place named is that of the mistake: in an included file, not where that is included.
-    places = re.findall(r'(?:At|loading|file) "?([^"\n]+?)"? ?\(line (\d+)(?:, col \d+)?\)', text)
-    lines = re.findall(r"\(line (\d+)(?:, col \d+)?\)", text)
-    file, line = places[-1] if places else (str(path), lines[-1] if lines else None)
-    if "Traceback (most recent call last)" in text:
-        text = re.sub(r"^\w+(Error|Exception): ", "", text.rstrip().rsplit("\n", 1)[-1])
-    text = re.sub(r"\[[\w.]+:\d+\] ", "", text)
-    text = re.sub(r"^.*\(line \d+, col \d+\): ", "", text, flags=re.DOTALL)
-    text = re.sub(r'^Parsing of XML file ".*?" failed: |^Error while loading( XML file)? ".*?": ', "", text)
-    text = re.sub(r" ?\(line \d+, col \d+\)$", "", text)
-    text = re.sub(r"\s*\n\s*-?\s*", " ", misspelt.reworded(text)).strip()
-    said = f"{file}, line {line}: {text}" if line else f"{file}: {text}"
-    return said + f". To make an old scene load: phong-bsdf convert {shlex.quote(str(path))} -o new.xml" * _is_old(path)
-
-
-def _is_old(path: Path) -> bool:
-    """Whether the scene says that it is of Mitsuba 0.x."""
-    beginning = Path(path).read_bytes()[:4096] if Path(path).is_file() else b""
-    return re.search(rb"""<scene\s[^>]*version=["']0\.""", beginning) is not None
-
-
-def _locate(error: needs.UnsupportedScene, path: Path, state) -> str:
-    """`error` with the line of the emitter that it is about; the loaded scene no longer knows it."""
-    for node in state.nodes:
-        name = node.props.plugin_name()
-        if node.type == mi.ObjectType.Emitter and name not in needs.LIGHTS + needs.BACKGROUNDS:
-            location = mi.parser.file_location(state, node)
-            return explain(RuntimeError(f"At {location}: {needs.refusal(name)}"), path)
-    return f"{path}: {error}"
 
 
 @contextlib.contextmanager

@@ -10,25 +10,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from . import energy
+from .lobes import LOBES
 from .matching import Carried, Lobe
+from .vocabulary import COEFFICIENTS, DEFAULTS, ENERGY, REFLECTANCES
 
-LOBES = ("phong", "blinnphong")
-
-# Names of the diffuse scale, the specular scale and the exponent; a BSDF uses one vocabulary.
-COEFFICIENTS = ("kd", "ks", "p")
-REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
+# The first two of a vocabulary.
 SCALES = ("diffuse", "specular")
-DEFAULTS = (0.5, 0.2, 30.0)
 
 # Textures that cannot be looked at without the shape that they are on.
 ON_SHAPES = ("mesh_attribute", "volume")
 
-# What a parameter can be besides a number or a colour.
-# (Mitsuba's stubs lack the second.)
+# What a parameter can be besides a number or a colour. (Mitsuba's stubs lack the second.)
 OBJECTS = (mi.Properties.Type.ResolvedReference, mi.Properties.Type.Spectrum)  # pyright: ignore[reportAttributeAccessIssue]
-
-# As the BSDFs do where energy would not be conserved.
-CONSERVED = 0.99
 
 
 @dataclass(frozen=True)
@@ -111,10 +105,11 @@ def _bsdfs(state) -> Iterator[tuple[int, str]]:
         if node.type == mi.ObjectType.BSDF:
             yield index, owner
         owner = node.props.id() if index > 0 and node.props.id() else owner
-        waiting += [(child, owner) for child in reversed(_children(node.props))]
+        waiting += [(child, owner) for child in reversed(children(node.props))]
 
 
-def _children(props) -> list[int]:
+def children(props) -> list[int]:
+    """The nodes that a node of a parsed scene refers to."""
     return [props[name].index() for name in props.keys() if _is_object(props, name)]  # noqa: SIM118
 
 
@@ -137,9 +132,9 @@ def _surface(state, make, name: str, index: int) -> Surface:
     kd, ks, p = means
     if names[2] in textured:
         notes.append(f"'{names[2]}' is a texture: its mean {np.mean(p):.4g} is matched")
-    if names == REFLECTANCES and not textured and props.get("ensure_energy_conservation", True):
-        total = max(d + s for d, s in zip(kd, ks, strict=True))
-        kd, ks = (tuple(x * min(1, CONSERVED / total) if total > 1 else x for x in scale) for scale in (kd, ks))
+    if names == REFLECTANCES and not textured and props.get(ENERGY, True):
+        factor = energy.factor(max(d + s for d, s in zip(kd, ks, strict=True)))
+        kd, ks = (tuple(factor * x for x in scale) for scale in (kd, ks))
     lobe = Lobe(props.plugin_name(), kd, ks, float(np.mean(p)), names == REFLECTANCES)
     file, line = re.match(r"(.*) \(line (\d+)", mi.parser.file_location(state, state.nodes[index])).groups()
     where = f"{os.path.basename(file)}, line {line}"

@@ -14,7 +14,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import fingerprint, images, metrics, parts, passes, rendering
+from . import fingerprint, images, metrics, parts, rendering
 from .progressive import planning
 
 # Columns that a table has besides the parameters.
@@ -102,7 +102,7 @@ def file_name(pairs: Sequence[tuple[str, str]]) -> str:
     """`km=0.5,p=10.exr`; where that is long or has odd characters, with some digits that tell it from others."""
     said = ",".join(f"{name}={value}" for name, value in pairs) or "picture"
     clean = re.sub(r"[^\w.,=+-]+", "-", said)[:LONGEST_NAME].strip(".")
-    return f"{clean}.exr" if clean == said else f"{clean}-{passes.digest(said, 8)}.exr"
+    return f"{clean}.exr" if clean == said else f"{clean}-{fingerprint.digest(said, 8)}.exr"
 
 
 def render(path: Path, row: Row, settings: Settings, output: Path, packed: str = "") -> tuple[float, float]:
@@ -116,7 +116,7 @@ def render(path: Path, row: Row, settings: Settings, output: Path, packed: str =
     samples = planning.samples_of(loaded, subject, settings.spp, settings.seed)
     start = time.perf_counter()
     image = rendering.render(loaded, camera=settings.camera, spp=settings.spp, seed=settings.seed).image
-    seconds, mean = time.perf_counter() - start, float(metrics.colors(image).mean(dtype=np.float64))
+    seconds, mean = time.perf_counter() - start, metrics.energy(image)
     record = json.dumps({"key": row.key, "seconds": seconds, "mean": mean})
     images.write(output, image, metadata={RECORD: record, **parts.metadata(subject, [samples])})
     return seconds, mean
@@ -170,4 +170,4 @@ def _key(path: Path, defines: Mapping[str, str], settings: Settings, hashed: Cal
     state = rendering.parse(path, defines, merge=False)
     # Beside the hash, which leaves sizes and samples out, the whole text.
     said = [fingerprint.scene_hash(path, state, hashed), mi.parser.write_string(state)]
-    return passes.digest([*said, asdict(settings), mi.variant(), fingerprint.versions()])
+    return fingerprint.digest([*said, asdict(settings), mi.variant(), fingerprint.versions()])

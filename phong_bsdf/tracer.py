@@ -105,7 +105,7 @@ class Tracer:
             )
 
     def features(self) -> set[str]:
-        """Those of `needs.FEATURES` that the kernel holds."""
+        """The features, of `needs.FEATURES`, that the kernel holds."""
         shades = self.lights.count > 0 and self.most_hits > 0
         has = {
             "bsdf calls": self.table is None,

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from phong_bsdf import images, metrics, rendering
 from phong_bsdf.cli import main
-from phong_bsdf.convergence import conclusions, measuring, planning, study
+from phong_bsdf.convergence import conclusions, measuring, planning, study, tradeoff
 from phong_bsdf.passes import Store
 
 SCENE = """\
@@ -464,6 +464,6 @@ def test_conclusions_of_nothing(scene):
     with store.opened():
         planning.write_run(store, planned.run)
     found, pictures = conclusions.conclude(store, planning.read_run(store))
-    assert pictures == {} and found.results[0].levels == () and isinstance(found.equal_time, study.Table)
+    assert pictures == {} and found.results[0].levels == () and isinstance(found.equal_time, tradeoff.Table)
     result = command("--from", "out")
     assert result.exit_code == 0 and "not measured yet" in result.stdout

@@ -153,3 +153,10 @@ def test_named_files(scene):
 def test_versions():
     """Names and numbers of the three."""
     assert fingerprint.versions().startswith("phong_bsdf ") and ", Mitsuba 3." in fingerprint.versions()
+
+
+def test_digest_is_of_the_content():
+    """Not of the order of a dictionary."""
+    first, same, other = {"a": 1, "b": 2}, {"b": 2, "a": 1}, {"a": 2, "b": 2}
+    assert fingerprint.digest(first) == fingerprint.digest(same) != fingerprint.digest(other)
+    assert len(fingerprint.digest("x", 8)) == 8

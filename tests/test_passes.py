@@ -116,9 +116,3 @@ def test_folder_holds_one_kind(store):
     store.claim(passes.LOBES)
     with pytest.raises(ValueError, match="choose another folder"):
         store.claim(passes.RUN)
-
-
-def test_digest_is_of_the_content():
-    """Not of the order of a dictionary."""
-    assert passes.digest({"a": 1, "b": 2}) == passes.digest({"b": 2, "a": 1}) != passes.digest({"a": 2, "b": 2})
-    assert len(passes.digest("x", 8)) == 8

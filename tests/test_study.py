@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phong_bsdf.convergence import study
+from phong_bsdf.convergence import study, tradeoff
 from phong_bsdf.passes import Pass
 
 SHAPE = (10, 12, 3)
@@ -139,7 +139,7 @@ def test_equal_time_and_equal_error():
     biased = Synthetic("biased", bias=0.3, cost=5e-4, seed=3)
     pairs = [analysed(method) for method in (slow, fast, biased)]
     results, seconds = [result for result, _ in pairs], {result.name: times for result, times in pairs}
-    table = study.equal_time(results)
+    table = tradeoff.equal_time(results)
     assert table.columns and set(table.rows) == {"slow", "fast", "biased"}
     for i, time in enumerate(table.columns):
         for method in (slow, fast):
@@ -149,7 +149,7 @@ def test_equal_time_and_equal_error():
                 assert cell.estimate.value == pytest.approx(method.error(1) * method.cost / time, rel=0.15)
             else:
                 assert cell is None
-    table = study.equal_error(results, seconds)
+    table = tradeoff.equal_error(results, seconds)
     for i, error in enumerate(table.columns):
         cells = [table.rows[name][i] for name in ("slow", "fast")]
         if None not in cells and not cells[0].at_most:
@@ -167,10 +167,10 @@ def test_narrow_tables_have_columns_too():
         passes = [(made(p.spp, p.repeat, cost * (1 + p.spp / 10)), image) for p, image in method.passes((1, 2))]
         results.append(study.analyse(name, passes, reference()))
         seconds[name] = {(p.spp, p.repeat): p.seconds for p, _ in passes}
-    table = study.equal_time(results)
+    table = tradeoff.equal_time(results)
     assert table.columns and all(0.0053 * 1.1 <= time <= 0.0052 * 1.2 for time in table.columns)
     assert None not in [cell for row in table.rows.values() for cell in row]
-    assert study.equal_error(results, seconds).columns
+    assert tradeoff.equal_error(results, seconds).columns
 
 
 def test_pixels_that_are_no_numbers_are_counted():
@@ -201,7 +201,7 @@ def test_few_passes_give_no_verdict():
     for repeats in (1, 2):
         found = analysed(Synthetic("m"), repeats=repeats)[0]
         assert found.verdict == "unknown" and found.levels[0].relmse.value > 0
-    assert study.equal_time([found]).columns
+    assert tradeoff.equal_time([found]).columns
 
 
 def test_warm_up_is_in_no_time():

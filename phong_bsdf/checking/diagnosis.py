@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .. import rendering
 from . import mistakes
 from .hits import Undiagnosable
 from .mistakes import Change, Mistake
@@ -63,6 +64,7 @@ class Explanation:
 
     @property
     def name(self) -> str:
+        """The mistakes' names, with + between them."""
         return "+".join(mistake.name for mistake in self.mistakes)
 
     @property
@@ -74,6 +76,7 @@ class Explanation:
 
     @property
     def advice(self) -> str:
+        """What to do about it."""
         return " ".join(mistake.advice for mistake in self.mistakes)
 
 
@@ -91,7 +94,7 @@ class Diagnostician:
 
     def __init__(self, scene, sensor, reference: np.ndarray, *, spp: int, encoding: Encoding, directions=()):
         """`reference`: the right picture, linear; `encoding`: of the pictures; `directions` as for `Stage`."""
-        if scene.integrator().__class__.__name__ != "Whitted" or scene.integrator().convention != "course":
+        if type(scene.integrator()).__name__ != rendering.WHITTED or scene.integrator().convention != "course":
             raise Undiagnosable("diagnosis knows the integrator whitted in the course convention")
         side = int(np.sqrt(spp))
         if side * side != spp or not sensor.film().rfilter().is_box_filter():

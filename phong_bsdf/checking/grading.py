@@ -9,18 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from .. import metrics, rendering
-from . import pictures
+from . import EDGES, RIGHT, TOLERANCE, UNREADABLE, WRONG, pictures
 from .diagnosis import Diagnostician, Explanation
 from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError
 from .verdict import compare
-
-# How far a right picture may be off, in steps of 8 bits beyond rounding, and at which part of the pixels an edge may be
-# hit or missed. A ray tracer in float64 needs less than half of either on the course's scenes.
-TOLERANCE = 1.0
-EDGES = 0.002
-
-RIGHT, WRONG, UNREADABLE = "right", "wrong", "unreadable"
 
 # So many explanations are kept.
 MOST_EXPLANATIONS = 5
@@ -38,7 +31,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Mistake:
+class Finding:
     """An explanation, as it is told."""
 
     name: str
@@ -57,14 +50,15 @@ class Grade:
 
     picture: str
     status: str
+    """`RIGHT`, `WRONG` or `UNREADABLE`."""
     score: float
     """1 where it is right; else the part of the pixels, of those that show more than background, that are."""
     words: str
     pixels_off: float | None
     """Part of all pixels."""
-    mistake: Mistake | None
+    mistake: Finding | None
     """The mistake to tell; None: it is right, or none of the usual ones explains it."""
-    candidates: tuple[Mistake, ...]
+    candidates: tuple[Finding, ...]
     """All explanations, the best first, told or not."""
     diagnosed: bool
     """Whether mistakes were looked for; the notes say why not."""
@@ -125,7 +119,7 @@ class Assignment:
         return self.check_picture(name, picture)
 
     def check_picture(self, name: str, picture: Picture) -> Checked:
-        """As `check`, of a picture that has been read."""
+        """Compare a picture that has been read, called `name`, with the rendering, and explain what is wrong."""
         encoding = picture.encoding
         expected = encoding.encode(self.image)
         step = self.options.tolerance / 255
@@ -178,12 +172,12 @@ class Assignment:
 
     @cached_property
     def name(self) -> str:
-        """Of the scene."""
+        """The name of the scene's file."""
         return self.loaded.path.name
 
 
-def _told(explanation: Explanation) -> Mistake:
-    return Mistake(
+def _told(explanation: Explanation) -> Finding:
+    return Finding(
         explanation.name, explanation.title, explanation.advice, explanation.confidence, explanation.explained,
         explanation.same,
     )  # fmt: skip

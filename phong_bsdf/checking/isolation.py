@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import drjit as dr
 import mitsuba as mi
 
+from ..registry import check_variant
+
 
 @contextlib.contextmanager
 def isolated(variant: str) -> Iterator[None]:
@@ -15,8 +17,7 @@ def isolated(variant: str) -> Iterator[None]:
     Afterwards variant, log level, threads and Dr.Jit's flags are restored, and what nobody holds any longer
     is freed: a BSDF that lives on would be compiled into every later kernel.
     """
-    if variant not in mi.variants():
-        raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
+    check_variant(variant)
     before, threads, resolver = mi.variant(), dr.thread_count(), mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     flags = {flag: dr.flag(flag) for flag in _single_flags()}
     mi.set_variant(variant)

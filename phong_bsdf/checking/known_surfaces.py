@@ -1,8 +1,8 @@
 """BSDFs as NumPy can shade them: a lobe or a diffuse surface, perhaps in a `mirrorblend`, perhaps with two sides."""
 
-import drjit as dr
 import mitsuba as mi
 
+from .. import lobes
 from .hits import Material, Undiagnosable
 
 
@@ -36,7 +36,7 @@ class KnownSurface:
             return {"diffuse": diffuse, "km": km}
         specular, exponent = mi.Color3f(self.bsdf.specular.value(si, active)), self.bsdf.exponent.value_1(si, active)
         if self.bsdf.reflectances:
-            specular *= self.bsdf.lobe.normalization(exponent) * dr.pi * self.bsdf.scale
+            specular *= lobes.reflectance_factor(self.bsdf.lobe.normalization(exponent), 1) * self.bsdf.scale
         return {
             "diffuse": diffuse, "specular": specular, "exponent": mi.Float(exponent), "km": km,
             "cosine": mi.Float(self.bsdf.reflectances),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import images
+from .. import images, metrics
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 NPY_MAGIC = b"\x93NUMPY"
@@ -204,8 +204,7 @@ def _integers(path: Path, array: np.ndarray, linear: bool, jpeg=None) -> Picture
 def _three_channels(path: Path, image: np.ndarray) -> np.ndarray:
     if image.shape[2] > 4:
         raise PictureError(f"{path.name}: the picture has {image.shape[2]} channels, not grey or RGB")
-    color = image[..., : 3 if image.shape[2] > 2 else 1]
-    return np.ascontiguousarray(np.broadcast_to(color, (*image.shape[:2], 3)))
+    return np.ascontiguousarray(np.broadcast_to(metrics.colors(image), (*image.shape[:2], 3)))
 
 
 def _alpha_note(image: np.ndarray) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ NAME-variance.exr holds how much the passes scatter: the variance of the means o
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -100,7 +99,7 @@ def check(path: Path, scene, options: Options) -> Outcome:
     try:
         expected = images.read_exr(picture)
         scatter = images.read_exr(variance).astype(np.float64) if variance.is_file() else None
-        passes = int(_metadata(picture).get("passes", 1))
+        passes = int(images.read_metadata(picture).get("passes", 1))
     except Exception as error:
         # OpenEXR raises whatever its C++ side throws.
         raise NoReference(f"the reference '{picture}' cannot be read: {error}") from None
@@ -147,10 +146,3 @@ def _is_noisy(render, image: np.ndarray) -> bool:
     finite = np.isfinite(image) & np.isfinite(other)
     difference = np.abs(np.where(finite, image - other, 0))
     return bool(difference.max(initial=0) > SAME * max(np.abs(image[finite]).max(initial=0), 1e-6))
-
-
-def _metadata(path: Path) -> dict[str, Any]:
-    import OpenEXR
-
-    with OpenEXR.File(str(path), header_only=True) as file:
-        return dict(file.header())

@@ -116,7 +116,7 @@ class Stage:
         return bounce, background, self._mirrored(si, ray, facing, tolerance, radius if raw_mirrors else None, onward)
 
     def _radius(self, si):
-        """Of the sphere that was hit; 1 on other shapes."""
+        """The radius of the sphere that was hit; 1 on other shapes."""
         radius = mi.Float(1)
         for shape, value in self.radii:
             radius = dr.select(si.shape == shape, value, radius)
@@ -170,7 +170,7 @@ class Stage:
         return Light(toward, length, falloff, _array(mi.Color3f(intensity), n)[hit], *visible)
 
     def _length_in_file(self, toward: np.ndarray) -> float:
-        """Of a directional light's vector; 1 where the file says it in another way."""
+        """The length of a directional light's vector; 1 where the file says it in another way."""
         for direction in self.directions:
             length = np.linalg.norm(direction)
             if len(toward) and length > 0 and np.allclose(-direction / length, toward[0], atol=1e-5):
@@ -207,5 +207,5 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def mirroring(bounce: Bounce) -> np.ndarray:
-    """The hits from which a mirrored ray goes on."""
+    """Whether a mirrored ray goes on from each hit, (n,)."""
     return (bounce.km.max(axis=-1) > 0) & (np.einsum("ij,ij->i", bounce.normal, bounce.view) > 0)

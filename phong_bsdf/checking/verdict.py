@@ -104,7 +104,7 @@ def sample(passes: Iterable[np.ndarray]) -> Sampled:
 def compare_noisy(actual: Sampled, expected: Sampled, *, alpha: float = ALPHA) -> Verdict:
     """Compare two pictures with noise of their own; `alpha` is the probability of a false alarm.
 
-    Welch's t-test on the means of tiles of 16 x 16 pixels, and of the whole picture, with Sidak's correction for
+    Welch's t-test on the means of `TILE` x `TILE` pixels, and of the whole picture, with Sidak's correction for
     their number.
     """
     mean, reference = metrics.check_shapes(actual.mean, expected.mean)
@@ -129,7 +129,7 @@ def compare_noisy(actual: Sampled, expected: Sampled, *, alpha: float = ALPHA) -
 
 
 def tile_means(image: np.ndarray) -> np.ndarray:
-    """Means over tiles of 16 x 16 pixels; those at the right and at the bottom may be smaller."""
+    """Means over tiles of `TILE` x `TILE` pixels, (rows, columns, channels); the last ones may be smaller."""
     rows, columns = (np.arange(0, side, TILE) for side in image.shape[:2])
     sums = np.add.reduceat(np.add.reduceat(image, rows, axis=0, dtype=np.float64), columns, axis=1)
     return sums / tile_sizes(image.shape)[..., None]

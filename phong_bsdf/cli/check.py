@@ -5,12 +5,10 @@ from pathlib import Path
 
 import click
 
+from ..checking import EDGES, RIGHT, TOLERANCE, UNREADABLE
 from .clusters import cluster_options
 from .options import scene_options
 from .session import errors, progress, start
-
-# `grading` says what they mean; that module is imported late, since it needs a variant.
-TOLERANCE, EDGES = 1.0, 0.2
 
 # From so many pictures on, there is a table instead of sentences.
 FEW = 3
@@ -22,7 +20,7 @@ FEW = 3
 @click.option("--linear", is_flag=True, help="PNG and JPEG hold 255 times the value, without the sRGB curve.")
 @click.option("--tolerance", type=click.FloatRange(0, 255), default=TOLERANCE, show_default=True,
               help="How far a value may be off, in steps of 8 bits, beyond rounding.")  # fmt: skip
-@click.option("--edges", type=click.FloatRange(0, 100), default=EDGES, show_default=True,
+@click.option("--edges", type=click.FloatRange(0, 100), default=100 * EDGES, show_default=True,
               help="Percentage of the pixels that may be off at edges.")  # fmt: skip
 @click.option("--diagnosis/--no-diagnosis", "diagnose", default=True, help="Look for the mistake. Default: yes.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
@@ -110,7 +108,7 @@ def _here(assignment, files, labels, names, folder, show) -> list:
 
 
 def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, verbose) -> list:
-    """The same, by a cluster. What is no file is graded here."""
+    """The grades of all pictures, by a cluster. What is no file is graded here."""
     import mitsuba as mi
 
     from .. import bundle, images
@@ -155,6 +153,7 @@ def find(paths, suffixes) -> tuple[list[Path], list[Path]]:
 
 
 def exit_code(statuses: list[str]) -> int:
-    if all(status == "unreadable" for status in statuses):
+    """0: all are right, 1: some are not, 2: none could be read."""
+    if all(status == UNREADABLE for status in statuses):
         return 2
-    return int(any(status != "right" for status in statuses))
+    return int(any(status != RIGHT for status in statuses))

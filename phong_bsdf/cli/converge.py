@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from ..convergence import LEVELS, REPEATS
 from .clusters import cluster_options
 from .options import Levels, MethodSpec, renderer_options
 from .session import errors, progress, start
@@ -19,9 +20,9 @@ from .session import errors, progress, start
               help="A method by its name, or a new one: NAME=integrator=path,sampler=stratified,sampling=lobe,"
                    "bsdf=roughplastic,reference=own, and the integrator's parameters. May be given several times. "
                    "Default: all that the scene supports.")  # fmt: skip
-@click.option("--spp", "levels", type=Levels(), default="1,4,16,64", show_default=True,
+@click.option("--spp", "levels", type=Levels(), default=",".join(map(str, LEVELS)), show_default=True,
               help="Samples per pixel to measure at.")  # fmt: skip
-@click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True,
+@click.option("--repeats", type=click.IntRange(min=1), default=REPEATS, show_default=True,
               help="Independent passes for each method and number of samples.")  # fmt: skip
 @click.option(
     "--time-budget",

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from ..vocabulary import VOCABULARIES
 from .session import errors, progress, start, to_copy
 
 
@@ -12,7 +13,7 @@ from .session import errors, progress, start, to_copy
 @click.argument("source", metavar="OLD", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="Scene to write, .xml. Its meshes and images go into a folder beside it.")  # fmt: skip
-@click.option("--vocabulary", type=click.Choice(["coefficients", "reflectances"]),
+@click.option("--vocabulary", type=click.Choice(list(VOCABULARIES)),
               help="OBJ: write highlights as the lecture's kd, ks, p (default), or as reflectances.")  # fmt: skip
 @click.option(
     "--camera", type=click.Choice(["auto", "none"]), help="OBJ: a camera that sees it all (default), or none."

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from .options import mode_option, threads_option, verbose_option
 from .session import errors, progress, start, to_copy
 
 
@@ -11,9 +12,9 @@ from .session import errors, progress, start, to_copy
 @click.option("-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("demo"), show_default=True,
               metavar="DIR", help="Where the pictures and the scenes go.")  # fmt: skip
 @click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scenes say.")
-@click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb.")
-@click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
-@click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log.")
+@mode_option
+@threads_option
+@verbose_option
 def demo(folder, spp, variant, threads, verbose):
     """Render the lecture's pictures, and put their scenes beside them, to be changed."""
     with errors():

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import click
 
+from .options import linear_option, outputs_option
 from .session import errors, progress
 
 
 @click.command()
 @click.argument("given", nargs=-1, required=True, metavar="PART...", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "outputs", multiple=True, required=True, type=click.Path(path_type=Path),
-              help="File to write, .exr (linear) or .png (8 bit). May be given several times.")  # fmt: skip
-@click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
+@outputs_option
+@linear_option
 @click.option("--mixed-versions", is_flag=True, help="Merge also what different versions of the software rendered.")
 def merge(given, outputs, linear, mixed_versions):
     """Merge pictures of different samples of one scene into their mean.

@@ -1,5 +1,7 @@
 """What the commands share: kinds of values, and the options of every command that renders."""
 
+from pathlib import Path
+
 import click
 
 LARGEST_SIDE = 65536
@@ -86,6 +88,24 @@ class MethodSpec(click.ParamType):
         return int(text) if text.lstrip("+-").isdigit() else Bsdf.parameter(text)
 
 
+mode_option = click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb.")
+threads_option = click.option("-t", "--threads", type=click.IntRange(min=1),
+                              help="Threads, at least 2. Default: one for each core.")  # fmt: skip
+verbose_option = click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log.")
+
+# Of commands that write pictures.
+outputs_option = click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write, .exr (linear) or .png (8 bit). May be given several times.",
+)
+linear_option = click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
+
+
 def scene_options(command):
     """The options of every command that renders a scene."""
     spp = click.option("--spp", type=click.IntRange(min=1), help="Samples per pixel. Default: as the scene says.")
@@ -93,18 +113,17 @@ def scene_options(command):
 
 
 def renderer_options(command):
-    """The same, but for the number of samples."""
+    """The options of every command that renders a scene, but for the number of samples."""
     options = (
-        click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb."),
+        mode_option,
         click.option("-D", "--define", "defines", multiple=True, type=Define(),
                      help="Value for a <default> of the scene. May be given several times."),
         click.option("--size", type=Size(), help="Size of the picture. Default: as the scene says."),
         click.option("--camera", default=1, show_default=True, help="Which sensor of the scene, counted from 1."),
         click.option("-s", "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
                      help="Seed of the sampler."),
-        click.option("-t", "--threads", type=click.IntRange(min=1),
-                     help="Threads, at least 2. Default: one for each core."),
-        click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log."),
+        threads_option,
+        verbose_option,
     )  # fmt: skip
     for option in reversed(options):
         command = option(command)

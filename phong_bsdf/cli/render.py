@@ -5,16 +5,15 @@ from pathlib import Path
 import click
 
 from .clusters import cluster_options
-from .options import scene_options
+from .options import linear_option, outputs_option, scene_options
 from .session import errors, progress, start
 
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "outputs", multiple=True, required=True, type=click.Path(path_type=Path),
-              help="File to write, .exr (linear) or .png (8 bit). May be given several times.")  # fmt: skip
+@outputs_option
 @scene_options
-@click.option("--linear", is_flag=True, help="PNG: 255 times the value, without the sRGB curve.")
+@linear_option
 @click.option("--passes", "folder", type=click.Path(path_type=Path),
               help="Render in passes, each kept in this folder: a run that ends early has lost nothing.")  # fmt: skip
 @click.option("--pass-spp", type=click.IntRange(min=1),

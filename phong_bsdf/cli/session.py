@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from .. import llvm
+from .. import llvm, registry
 
 
 def start(variant: str | None, threads: int | None, verbose: bool) -> None:
@@ -21,8 +21,7 @@ def start(variant: str | None, threads: int | None, verbose: bool) -> None:
         variant = "llvm_ad_rgb" if drjit_has_llvm() else "scalar_rgb"
         if variant == "scalar_rgb":
             click.echo(f"Warning: no usable LLVM, so scalar_rgb is used, which is very slow. {llvm.REMEDY}", err=True)
-    if variant not in mi.variants():
-        raise ValueError(f"there is no variant '{variant}'; this Mitsuba has {', '.join(mi.variants())}")
+    registry.check_variant(variant)
     try:
         mi.set_variant(variant)
     except llvm.LLVMError:
@@ -36,6 +35,7 @@ def start(variant: str | None, threads: int | None, verbose: bool) -> None:
 
 
 def drjit_has_llvm() -> bool:
+    """Whether Dr.Jit has found an LLVM that does not end the process."""
     import drjit
 
     return drjit.detail.llvm_version()[0] >= llvm.OLDEST

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from .options import threads_option
 from .session import errors, progress, start
 
 
@@ -14,7 +15,7 @@ from .session import errors, progress, start
 @click.option("--quick", is_flag=True, help="Fewer inputs; under 30 seconds.")
 @click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the inputs.")
 @click.option("-m", "--mode", "variant", help="Mitsuba variant, a JIT one. Default: llvm_ad_rgb.")
-@click.option("-t", "--threads", type=click.IntRange(min=1), help="Threads, at least 2. Default: one for each core.")
+@threads_option
 def stability(folder, quick, seed, variant, threads):
     """Find the lobes' worst float32 error at each exponent, beside the naive formulas. Exit 1: a bar is missed."""
     with errors():

@@ -27,7 +27,7 @@ class Task:
 
 
 def task(assignment: Assignment) -> Task:
-    """The same for workers."""
+    """What workers need of an assignment."""
     return Task(assignment.name, options=assignment.options, **assignment.settings)
 
 

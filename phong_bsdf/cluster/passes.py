@@ -76,7 +76,7 @@ def render(
     on_progress: Callable[[float], None] = lambda share: None,
     on_wait: Callable[[str], None] = lambda what: None,
 ) -> Iterator[WeightedMean]:
-    """As `progressive.running.render`, on a cluster: the picture so far, pass by pass in the order of their numbers."""
+    """`progressive.running.render` on a cluster: the picture so far, pass by pass in the order of their numbers."""
     plan, mean = folder.plan, WeightedMean()
 
     def order(index: int) -> Order:

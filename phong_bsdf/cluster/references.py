@@ -8,7 +8,7 @@ from pathlib import Path
 
 import drjit as dr
 
-from .. import metrics, passes, rendering
+from .. import machine, metrics, rendering
 from ..bundle import Bundle
 from ..convergence import measuring, methods
 from ..convergence.methods import Method
@@ -26,7 +26,7 @@ def render_pass(
     loaded = work.kept(("reference", path, key), lambda: _load(path, method, size, run.camera))
     seed = measuring.seed_of(run, key, spp, number, measuring.REFERENCE_SEED)
     result, seconds = measuring.timed_rendering(loaded, run.camera, spp, seed)
-    made = measuring.record(run, spp, seed, number, seconds, where=passes.machine(dr.thread_count()))
+    made = measuring.record(run, spp, seed, number, seconds, where=machine.described(dr.thread_count()))
     with tempfile.TemporaryDirectory() as name:
         store = Store(Path(name))
         store.passes.mkdir()

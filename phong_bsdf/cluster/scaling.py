@@ -17,7 +17,7 @@ PASSES_PER_WORKER = 4
 
 @dataclass(frozen=True)
 class Costs:
-    """What comes to the rendering, in seconds. The defaults were measured on two cores: docs/clusters.md."""
+    """What comes to the rendering, in seconds; by default about what `make bench ONLY=cluster` finds on two cores."""
 
     order: float = 7.5e-3
     """Of scheduler and client for each pass."""
@@ -57,6 +57,7 @@ class Prediction:
 
     @property
     def efficiency(self) -> float:
+        """The part of the workers' time that renders."""
         return self.speedup / self.workers
 
 

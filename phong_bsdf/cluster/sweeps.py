@@ -35,7 +35,7 @@ def run(
     seconds: float | None = None,
     on_wait: Callable[[str], None] = lambda what: None,
 ) -> Iterator[Row]:
-    """As `sweep.run`, in the order in which they finish."""
+    """Render these rows on a cluster: `sweep.run`, but in the order in which they finish."""
     contents, orders, waiting = {}, [], {}
     for number, row in enumerate(rows):
         try:

@@ -1,7 +1,6 @@
 """What happens on a worker: an order comes in, its scene is unpacked, a function of this package carries it out."""
 
 import gc
-import os
 import platform
 import re
 import threading
@@ -17,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import __version__, bundle
+from .. import __version__, bundle, machine
 from ..bundle import Bundle
 
 # What this process has loaded for the orders of one run.
@@ -135,9 +134,8 @@ def prepare(around: Surroundings, host: str) -> None:
         gc.collect()
         mi.set_variant(around.variant)
         mi.set_log_level(mi.LogLevel.Error)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
     # With a single thread Mitsuba's bitmap textures wait for ever.
-    threads = max(2, cores // max(around.workers.get(host, 1), 1))
+    threads = max(2, machine.cores() // max(around.workers.get(host, 1), 1))
     if dr.thread_count() != threads:
         dr.set_thread_count(threads)
 

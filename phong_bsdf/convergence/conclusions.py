@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import images, metrics
 from ..passes import Pass, Store
-from . import study
+from . import study, tradeoff
 from .planning import MethodRun, ReferenceRun, Run
 
 # HDR-FLIP of every pass, which takes longer than reading the passes: kept beside them.
@@ -88,8 +88,8 @@ class Conclusions:
     run: Run
     results: tuple[study.Result, ...]
     references: tuple[ReferenceFacts, ...]
-    equal_time: study.Table
-    equal_error: study.Table
+    equal_time: tradeoff.Table
+    equal_error: tradeoff.Table
     rows: tuple[Row, ...]
     picture_seconds: float | None
     """The time that the pictures were chosen for."""
@@ -122,7 +122,7 @@ def conclude(
         pictures[s.method] = store.image(key, record)
     facts = tuple(_facts(reference, references.get(reference.name)) for reference in run.references)
     found = Conclusions(
-        run, tuple(results), facts, study.equal_time(measured), study.equal_error(measured, seconds),
+        run, tuple(results), facts, tradeoff.equal_time(measured), tradeoff.equal_error(measured, seconds),
         tuple(rows), time, shown, missing,
     )  # fmt: skip
     return found, pictures

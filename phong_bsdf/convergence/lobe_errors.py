@@ -12,9 +12,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import estimates, images, passes, stability
+from .. import estimates, images, machine, passes, stability
 from ..estimates import Estimate
-from ..fingerprint import versions
+from ..fingerprint import digest, versions
 from ..passes import Store
 from .study import Spread
 
@@ -80,9 +80,9 @@ def measure(
     if not dr.is_jit_v(mi.Float):
         raise ValueError(f"converge: --lobes needs a JIT variant such as llvm_ad_rgb, got '{mi.variant()}'")
     store.claim(passes.LOBES)
-    machine = passes.machine(dr.thread_count())
-    key = "lobes-" + passes.digest([mi.variant(), versions(), machine, cases, seed, EXPONENTS])
-    run = LobeRun(key, cases, repeats, seed, str(mi.variant()), versions(), machine)
+    where = machine.described(dr.thread_count())
+    key = "lobes-" + digest([mi.variant(), versions(), where, cases, seed, EXPONENTS])
+    run = LobeRun(key, cases, repeats, seed, str(mi.variant()), versions(), where)
     (store.passes / key).mkdir(parents=True, exist_ok=True)
     # First: a run that is killed can be drawn.
     images.replace_file(store.folder / passes.LOBES, json.dumps(dataclasses.asdict(run), indent=1) + "\n")
@@ -119,7 +119,7 @@ def summarise(sweeps: Sequence[Sequence[stability.Row]]) -> list[LobeError]:
             times = [getattr(row, nanoseconds) for row in rows]
             if None in errors or None in times:
                 continue
-            spread = Spread(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
+            spread = Spread.of(times)
             mean = estimates.geometric_mean(errors) if np.isfinite(errors).all() else Estimate(float("inf"))
             found.append(LobeError(rows[0].quantity, rows[0].lobe, formula, rows[0].p, len(rows), mean, spread))
     return found

@@ -10,12 +10,11 @@ import math
 import re
 import time
 from collections.abc import Callable, Sequence
-from datetime import datetime, timezone
 
 import drjit as dr
 import mitsuba as mi
 
-from .. import metrics, passes, rendering
+from .. import fingerprint, machine, metrics, rendering
 from ..passes import Pass, Store
 from .planning import MethodRun, Plan, ReferenceRun, Run
 
@@ -52,15 +51,14 @@ def measure(
 
 def seed_of(run: Run, key: str, spp: int, number: int, seed_bit: int = 0) -> int:
     """The seed of a pass."""
-    text = passes.digest(f"{run.seed}/{key}/{spp}/{number}", 8)
+    text = fingerprint.digest(f"{run.seed}/{key}/{spp}/{number}", 8)
     # A large rendering goes in passes of consecutive seeds: leave them room.
     return int(text, 16) % 2**30 | seed_bit
 
 
 def record(run: Run, spp: int, seed: int, number: int, seconds: float, *, warmup: float = 0.0, where: str = "") -> Pass:
     """The record of a pass that was made just now, on the machine `where`, or that of the run."""
-    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    return Pass(spp, seed, number, seconds, warmup, run.variant, run.versions, where or run.machine, now)
+    return Pass(spp, seed, number, seconds, warmup, run.variant, run.versions, where or run.machine, machine.now())
 
 
 class _Session:
@@ -77,7 +75,7 @@ class _Session:
         self.work += sum(sum(reference.levels) for reference in run.references)
 
     def make_reference(self, reference: ReferenceRun) -> None:
-        """Its passes; why that fails is kept for the methods that need it."""
+        """Make the passes of a reference; why that fails is kept for the methods that need it."""
         if reference.kind == "file":
             return
         try:
@@ -89,7 +87,7 @@ class _Session:
             self.failed_references[reference.name] = f"its reference failed: {_reason(error)}"
 
     def make_passes(self, method: MethodRun, repeat: int) -> None:
-        """One pass at each level."""
+        """Make one pass of a method at each level."""
         if self.store.failure(method.key) is None:
             try:
                 self._block(method.key, method.name, method.levels, repeat=repeat)

@@ -12,10 +12,13 @@ from typing import Any
 import mitsuba as mi
 
 from .. import comparison, matching, needs, rendering, surfaces
+from ..lobes import LOBES
+from ..vocabulary import MIXTURE, SAMPLINGS
 
 SAMPLERS = ("independent", "stratified", "multijitter", "ldsampler")
-SAMPLINGS = ("mixture", "cosine", "lobe")
 REFERENCES = ("scene", "own")
+
+# Its plugin; `rendering.WHITTED` is its class.
 WHITTED = "whitted"
 
 # What a scene's integrator hands on to another one, with what Mitsuba takes where the scene is silent.
@@ -34,7 +37,7 @@ class Method:
     parameters: Mapping[str, object] = field(default_factory=dict)
     """Of the integrator."""
     sampler: str = "independent"
-    sampling: str = "mixture"
+    sampling: str = MIXTURE
     """How `phong` and `blinnphong` draw directions."""
     bsdf: str = ""
     """What takes their place, matched; empty: nothing does."""
@@ -74,7 +77,7 @@ def read(path: Path, defines: Mapping[str, str] | None = None) -> Scene:
     state = rendering.parse(path, defines, merge=False)
     props = _integrator(path, state).props
     emitters = [node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Emitter]
-    lobes = (i for i, node in enumerate(state.nodes) if node.props.plugin_name() in surfaces.LOBES)
+    lobes = (i for i, node in enumerate(state.nodes) if node.props.plugin_name() in LOBES)
     integrator = props.plugin_name()
     course = integrator == WHITTED and props.get("convention", "course") == "course"
     return Scene(Path(path), state, integrator, tuple(lobes), all(e in needs.LIGHTS for e in emitters), course)
@@ -131,9 +134,9 @@ def _method(scene: Scene, known: Mapping[str, Method], name: str, spec: Mapping[
         if getattr(method, key) not in values:
             words = ", ".join(filter(None, values))
             raise ValueError(f"converge: method '{name}': '{key}' must be one of {words}, got '{getattr(method, key)}'")
-    if (method.bsdf or method.sampling != "mixture") and not scene.lobes:
+    if (method.bsdf or method.sampling != MIXTURE) and not scene.lobes:
         raise ValueError(f"converge: method '{name}': the scene has no phong or blinnphong BSDF")
-    if method.bsdf and method.sampling != "mixture":
+    if method.bsdf and method.sampling != MIXTURE:
         raise ValueError(f"converge: method '{name}': 'sampling' is of the BSDFs that 'bsdf' takes away; give one")
     _check(scene, method)
     return method
@@ -149,7 +152,7 @@ def _levels(name: str, spec: Mapping[str, object]) -> tuple[int, ...]:
 
 def _check(scene: Scene, method: Method) -> None:
     """ValueError where the integrator or the sampler does not exist or does not take its parameters."""
-    state = applied(scene, replace(method, bsdf="", sampling="mixture"))
+    state = applied(scene, replace(method, bsdf="", sampling=MIXTURE))
     for kind in (mi.ObjectType.Integrator, mi.ObjectType.Sampler):
         alone = mi.parser.ParserState(state)
         alone.nodes[0] = next(node for node in state.nodes if node.type == kind)
@@ -185,7 +188,7 @@ def applied(scene: Scene, method: Method):
     state = mi.parser.ParserState(scene.state)
     if method.bsdf:
         state = comparison.swapped(scene.path, state, method.bsdf)
-    elif method.sampling != "mixture":
+    elif method.sampling != MIXTURE:
         for index in scene.lobes:
             _change(state, index, {"sampling": method.sampling})
     _set_integrator(scene, state, method)
@@ -222,7 +225,7 @@ def _set_integrator(scene: Scene, state, method: Method) -> None:
 def _set_sampler(state, sensor: int, plugin: str) -> None:
     """Every method has its own sampler; how many samples it takes is said when it renders."""
     props = state.nodes[sensor].props
-    found = [i for i in children(props) if state.nodes[i].type == mi.ObjectType.Sampler]
+    found = [i for i in surfaces.children(props) if state.nodes[i].type == mi.ObjectType.Sampler]
     node = mi.parser.SceneNode(state.nodes[found[0] if found else sensor])
     node.type, node.props = mi.ObjectType.Sampler, mi.Properties(plugin)
     node.props["sample_count"] = 4
@@ -231,12 +234,6 @@ def _set_sampler(state, sensor: int, plugin: str) -> None:
     else:
         state.nodes.append(node)
         _change(state, sensor, {"sampler": mi.Properties.ResolvedReference(len(state.nodes) - 1)})
-
-
-def children(props) -> list[int]:
-    """The nodes that a node refers to."""
-    kind = mi.Properties.Type.ResolvedReference
-    return [props[key].index() for key in props.keys() if props.type(key) == kind]  # noqa: SIM118
 
 
 def _change(state, index: int, parameters: Mapping[str, object]) -> None:

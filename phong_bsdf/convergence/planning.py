@@ -10,12 +10,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import fingerprint, images, passes, rendering
+from .. import camera as cameras
+from .. import fingerprint, images, machine, passes, rendering, surfaces
 from ..passes import Store
-from . import methods
-
-LEVELS = (1, 4, 16, 64)
-REPEATS = 5
+from . import LEVELS, REPEATS, methods
 
 # The reference of random methods: with 32 times the samples of the finest level, its noise is 3 % of that level's.
 REFERENCE_PASSES = 16
@@ -108,16 +106,16 @@ def plan(
     real = {method.name: _rounded(scene, method, method.levels or levels) for method in chosen}
     versions, scene_hash = fingerprint.versions(), fingerprint.scene_hash(scene.path, scene.state)
     context = [scene_hash, camera, film, mi.variant(), seed, versions]
-    machine = passes.machine(dr.thread_count())
+    where = machine.described(dr.thread_count())
     states, used = {}, {}
 
     def key(method: methods.Method, *more) -> str:
-        made = f"{method.name}-{passes.digest([*context, method.spec(), *more])}"
+        made = f"{method.name}-{fingerprint.digest([*context, method.spec(), *more])}"
         states[made], used[made] = methods.applied(scene, method), method
         return made
 
     runs = tuple(
-        MethodRun(m.name, m.spec(), key(m, machine), Path(reference or limits[m.name].name).name, real[m.name])
+        MethodRun(m.name, m.spec(), key(m, where), Path(reference or limits[m.name].name).name, real[m.name])
         for m in chosen
     )
     if reference is not None:
@@ -129,7 +127,7 @@ def plan(
             for limit in {limit.name: limit for limit in limits.values()}.values()
         ]
     run = Run(Path(path).name, scene_hash, scene.integrator, str(mi.variant()), camera, tuple(levels), repeats, seed,
-              runs, tuple(references), versions, machine)  # fmt: skip
+              runs, tuple(references), versions, where)  # fmt: skip
     return Plan(Path(path), states, {r.key: used[r.key] for r in references if r.key in used}, size, run)
 
 
@@ -151,17 +149,9 @@ def _reference(scene: methods.Scene, limit: methods.Method, finest: Sequence[tup
 def _rounded(scene: methods.Scene, method: methods.Method, levels: Sequence[int]) -> tuple[int, ...]:
     """The numbers of samples that the method takes when asked for `levels`."""
     grid = methods.integrator_of(scene, method) == methods.WHITTED
-    before = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        sampler = mi.load_dict({"type": method.sampler})
-        real = []
-        for spp in sorted(levels):
-            sampler.set_sample_count(spp)
-            real.append(spp if grid and math.isqrt(spp) ** 2 == spp else int(sampler.sample_count()))
-        return tuple(dict.fromkeys(real))
-    finally:
-        mi.set_log_level(before)
+    sampler = mi.load_dict({"type": method.sampler})
+    real = (spp if grid and cameras.grid(spp) else cameras.samples_taken(sampler, spp) for spp in sorted(levels))
+    return tuple(dict.fromkeys(real))
 
 
 def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) -> tuple[int, int]:
@@ -171,7 +161,7 @@ def _film_size(scene: methods.Scene, camera: int, size: tuple[int, int] | None) 
         raise rendering.SceneError(f"{scene.path}: there is no camera {camera}, the scene has {len(sensors)}")
     if size:
         return size
-    nodes = (scene.state.nodes[i] for i in methods.children(sensors[camera - 1]))
+    nodes = (scene.state.nodes[i] for i in surfaces.children(sensors[camera - 1]))
     film: Any = next((node.props for node in nodes if node.type == mi.ObjectType.Film), mi.Properties("hdrfilm"))
     width, height = (film.get(name, default) for name, default in (("width", 768), ("height", 576)))
     return film.get("crop_width", width), film.get("crop_height", height)

@@ -1,4 +1,4 @@
-"""What passes say: errors at each number of samples, slopes, bias, what a given time buys -> records.
+"""What passes say: errors at each number of samples, slopes, bias -> records.
 
 Nothing is rendered here. Where passes come from does not matter: the tests bring their own, with known laws.
 """
@@ -30,9 +30,6 @@ NOISELESS = 1e-6
 # rendering costs.
 GROWING = 2.0
 
-# Columns of the tables of equal time and equal error, at most.
-COLUMNS = 6
-
 
 class Reference:
     """What methods are measured against: passes of its own, or one picture that counts as exact."""
@@ -47,7 +44,7 @@ class Reference:
 
     @cached_property
     def weights(self) -> dict[str, np.ndarray | float]:
-        """Of the two squared errors."""
+        """What the two squared errors are weighted with, at each pixel."""
         return {"relmse": 1 / (self.mean**2 + metrics.EPSILON), "mse": 1.0}
 
     @cached_property
@@ -66,11 +63,16 @@ class Reference:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and quartiles of seconds."""
+    """Median and quartiles of times."""
 
     median: float
     low: float
     high: float
+
+    @classmethod
+    def of(cls, times: Sequence[float]) -> "Spread":
+        """The median and the quartiles of measured times."""
+        return cls(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
 
 
 @dataclass(frozen=True)
@@ -130,23 +132,6 @@ class Result:
     reference's own error) or `unknown`."""
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Of a table over methods."""
-
-    estimate: Estimate
-    at_most: bool = False
-    """The cheapest level is better already."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """One row for each method, one column for each of `columns`."""
-
-    columns: tuple[float, ...]
-    rows: Mapping[str, tuple[Cell | None, ...]]
-
-
 def analyse(
     name: str,
     passes: Sequence[tuple[Pass, np.ndarray]],
@@ -180,35 +165,8 @@ def unmeasured(name: str, reference: str, failure: str | None) -> Result:
     return Result(name, reference, failure, (), (), None, None, None, None, "unknown")
 
 
-def equal_time(results: Sequence[Result]) -> Table:
-    """relMSE that each method reaches in the same seconds."""
-    medians = {r.name: [level.seconds.median for level in r.levels if level.relmse] for r in results}
-
-    def cell(result: Result, time: float) -> Cell | None:
-        at = {level.spp: level.seconds.median for level in result.levels}
-        curves = _repeats(result.passes)
-        found = [estimates.error_at([at[e.spp] for e in c], _errors(c), time) for c in curves]
-        return _cell(found)
-
-    return _table(results, [t for times in medians.values() for t in times], cell)
-
-
-def equal_error(results: Sequence[Result], seconds: Mapping[str, Mapping[tuple[int, int], float]]) -> Table:
-    """Seconds that each method needs for the same relMSE. `seconds`: method -> (spp, repeat) -> seconds."""
-    found = [level.relmse.value for r in results for level in r.levels if level.relmse and level.relmse.value > 0]
-
-    def cell(result: Result, error: float) -> Cell | None:
-        at, curves = seconds[result.name], _repeats(result.passes)
-        times = [estimates.time_to([at[e.spp, e.repeat] for e in c], _errors(c), error) for c in curves]
-        first = next((level.relmse.value for level in result.levels if level.relmse), math.inf)
-        return _cell(times, at_most=first <= error)
-
-    return _table(results, found, cell, descending=True)
-
-
 def _level(spp: int, chosen, reference: Reference, flip) -> tuple[Level, list[PassErrors], dict]:
-    times = np.array([made.seconds for made, _ in chosen])
-    spread = Spread(*(float(np.quantile(times, q)) for q in (0.5, 0.25, 0.75)))
+    spread = Spread.of([made.seconds for made, _ in chosen])
     bad = [metrics.nonfinite(image) for _, image in chosen]
     warmup = max(made.seconds_warmup for made, _ in chosen)
     if any(bad) or reference.nonfinite:
@@ -260,7 +218,7 @@ def _noiseless(level: Level) -> bool:
     return level.variance is not None and abs(level.variance.value) <= NOISELESS * max(level.relmse.value, 0)
 
 
-def _repeats(passes: Sequence[PassErrors]) -> list[list[PassErrors]]:
+def complete_repeats(passes: Sequence[PassErrors]) -> list[list[PassErrors]]:
     """The passes of each repeat that has as many levels as any."""
     by_repeat: dict[int, list[PassErrors]] = {}
     for errors in passes:
@@ -270,49 +228,12 @@ def _repeats(passes: Sequence[PassErrors]) -> list[list[PassErrors]]:
     return [curve for curve in by_repeat.values() if len(curve) == most]
 
 
-def _errors(passes: Sequence[PassErrors]) -> list[float]:
+def errors_of(passes: Sequence[PassErrors]) -> list[float]:
+    """The relMSE of passes, of those that have one."""
     return [errors.relmse for errors in passes if errors.relmse is not None]
 
 
 def _slope(each: Sequence[PassErrors], position) -> Estimate | None:
-    slopes = [estimates.slope([position(e) for e in c], _errors(c)) for c in _repeats(each)]
+    slopes = [estimates.slope([position(e) for e in c], errors_of(c)) for c in complete_repeats(each)]
     known = [s for s in slopes if s is not None]
     return estimates.mean(known) if known else None
-
-
-def _cell(found: Sequence[float | None], at_most: bool = False) -> Cell | None:
-    """The mean of logarithms, where every repeat has a value."""
-    known = [value for value in found if value is not None]
-    if not known or len(known) < len(found):
-        return None
-    return Cell(estimates.geometric_mean(known), at_most)
-
-
-def _table(results: Sequence[Result], values: Sequence[float], cell, descending: bool = False) -> Table:
-    """With columns at round numbers between the `values`; at less round ones where those tell nothing.
-
-    Without columns that fewer than two methods, or the only one, fill, and those in which all are good at once.
-    """
-    kept = {}
-    for digits in ((1, 2, 5), [i / 10 for i in range(10, 100)]):
-        columns = {value: [cell(r, value) for r in results if r.levels] for value in _series(values, digits)}
-        for value, cells in columns.items():
-            filled = [one for one in cells if one is not None]
-            if len(filled) >= min(2, len(cells)) and not all(one.at_most for one in filled):
-                kept[value] = cells
-        if kept:
-            break
-    chosen = sorted(kept, reverse=descending)
-    if len(chosen) > COLUMNS:
-        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, COLUMNS).round().astype(int)]
-    names = [r.name for r in results if r.levels]
-    return Table(tuple(chosen), {name: tuple(kept[value][i] for value in chosen) for i, name in enumerate(names)})
-
-
-def _series(values: Sequence[float], digits: Sequence[float]) -> tuple[float, ...]:
-    """These digits times the powers of ten, between the smallest and the largest value."""
-    if not values:
-        return ()
-    low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
-    steps = (float(f"{digit}e{power}") for power in range(low, high + 1) for digit in digits)
-    return tuple(step for step in steps if min(values) <= step <= max(values))

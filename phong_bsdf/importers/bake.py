@@ -59,7 +59,7 @@ def write(files: Files, path: Path, image: np.ndarray, what: str) -> Path:
 
 
 def copy(files: Files, path: Path, change: Callable[[np.ndarray], np.ndarray], what: str, gamma=None) -> Path:
-    """The same, of `change` of the decoded image."""
+    """Write `change` of the decoded image `path` among the new scene's files, `what` was done in its name."""
     return write(files, path, np.ascontiguousarray(change(decode(read(path), gamma)), np.float32), what)
 
 

@@ -3,11 +3,11 @@
 Each rule changes one `<bsdf>` in place. Names are in snake_case by now.
 """
 
-import math
-
+from .. import matching
+from ..energy import CONSERVED
+from ..lobes import LOBES
 from . import highlights, textures
 from .context import Context
-from .records import ConversionError
 from .values import color, number, numbers, set_color, to_text
 from .xmlfile import Node
 
@@ -21,10 +21,8 @@ INDICES = {
 # Roughness where none is given.
 ALPHA = 0.1
 
-# Energy rule of 0.6 where a reflectance exceeds 1.
-CONSERVED = 0.99
-REFLECTANCES = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance")
-LOBES = ("phong", "blinnphong")
+# Parameters that 0.6 scales where they exceed 1.
+SCALED_DOWN = ("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance")
 
 
 def rewrite(context: Context) -> None:
@@ -45,6 +43,13 @@ def nested(node: Node, context: Context) -> list[Node]:
     ]
 
 
+def _textures(node: Node, context: Context) -> list[Node]:
+    """The textures, and references to them, inside of a BSDF."""
+    return [
+        child for child in node.nodes if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context))
+    ]
+
+
 def _is_texture(ref: Node, context: Context) -> bool:
     """Whether a reference is to a texture."""
     return context.dereference(ref).tag != "bsdf"
@@ -59,7 +64,7 @@ def _rough(node: Node, context: Context) -> None:
     for name in ("exponent", "exponent_u", "exponent_v"):
         given = node.take(name)
         if given is not None:
-            alpha = math.sqrt(2 / (max(number(given), 0) + 2))
+            alpha = matching.roughness(max(number(given), 0))
             node.add("float", name=name.replace("exponent", "alpha"), value=to_text([alpha]))
             context.journal.change(
                 given.place, f"'{name}' {given.get('value')}", f"now alpha = sqrt(2/(p+2)) = {alpha:.4g}"
@@ -106,7 +111,7 @@ def _coating(node: Node, context: Context) -> None:
     rough = node.type == "roughcoating"
     inside = nested(node, context)
     if len(inside) != 1:
-        raise ConversionError(f"{node.file}, line {node.line}: '{node.type}' needs one BSDF inside, has {len(inside)}")
+        raise node.error(f"'{node.type}' needs one BSDF inside, has {len(inside)}")
     base = context.dereference(inside[0])
     node.remove(inside[0])
     absorption = node.take("sigma_a")
@@ -171,8 +176,8 @@ def _mixture(node: Node, context: Context) -> None:
     weights_node, parts = node.take("weights"), nested(node, context)
     weights = numbers(weights_node.get("value", ""), weights_node) if weights_node is not None else []
     if len(weights) != len(parts) or not parts or min(weights) < 0 or sum(weights) <= 0:
-        raise ConversionError(
-            f"{node.file}, line {node.line}: 'mixturebsdf' needs one weight >= 0 for each of its {len(parts)} BSDFs, "
+        raise node.error(
+            f"'mixturebsdf' needs one weight >= 0 for each of its {len(parts)} BSDFs, "
             f"got '{weights_node.get('value') if weights_node is not None else ''}'"
         )
     conserve = node.take("ensure_energy_conservation")
@@ -243,23 +248,20 @@ def _only_diffuse(node: Node, context: Context) -> None:
 
 
 def _normalmap(node: Node, context: Context) -> None:
-    for child in node.nodes:
-        if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context)):
-            child.set("name", "normalmap")
-            if child.tag == "texture" and child.type == "bitmap" and child.find_named("raw") is None:
-                child.add("boolean", name="raw", value="true")
+    for child in _textures(node, context):
+        child.set("name", "normalmap")
+        if child.tag == "texture" and child.type == "bitmap" and child.find_named("raw") is None:
+            child.add("boolean", name="raw", value="true")
 
 
 def _bumpmap(node: Node, context: Context) -> None:
     """Mitsuba 3 knows the slopes of images only."""
-    textures = [
-        child for child in node.nodes if child.tag == "texture" or (child.tag == "ref" and _is_texture(child, context))
-    ]
-    if any(context.dereference(texture).type == "bitmap" for texture in textures):
+    given = _textures(node, context)
+    if any(context.dereference(texture).type == "bitmap" for texture in given):
         return
     inside = nested(node, context)
     if len(inside) == 1:
-        what = f"bumps of a '{context.dereference(textures[0]).type}'" if textures else "'bumpmap' without a texture"
+        what = f"bumps of a '{context.dereference(given[0]).type}'" if given else "'bumpmap' without a texture"
         context.journal.loss(node.place, what, "left out: Mitsuba 3 bends surfaces by images only")
         node.become(context.dereference(inside[0]))
 
@@ -267,7 +269,7 @@ def _bumpmap(node: Node, context: Context) -> None:
 def _conserve(node: Node, context: Context) -> None:
     """Constants above 1, which Mitsuba 0.6 scaled with a warning and Mitsuba 3 refuses."""
     for child in node.nodes:
-        values = color(child) if child.name in REFLECTANCES and "$" not in child.get("value", "") else None
+        values = color(child) if child.name in SCALED_DOWN and "$" not in child.get("value", "") else None
         if values and max(values) > 1:
             scale = CONSERVED / max(values)
             set_color(child, [v * scale for v in values])

@@ -3,6 +3,7 @@
 Mitsuba refuses a parameter that nothing reads, so what is not listed here is left out of the new scene, and noted.
 """
 
+from ..vocabulary import COEFFICIENTS, ENERGY, REFLECTANCES
 from .context import Context
 
 _TRANSFORM = "to_world"
@@ -14,7 +15,7 @@ _VIEW = "fov focal_length fov_axis"
 _PERSPECTIVE = f"{_CAMERA} {_VIEW} principal_point_offset_x principal_point_offset_y"
 _GLASS = "int_ior ext_ior specular_reflectance specular_transmittance"
 _ROUGH = "distribution alpha alpha_u alpha_v sample_visible"
-_LOBE = "kd ks p diffuse_reflectance specular_reflectance exponent ensure_energy_conservation sampling"
+_LOBE = " ".join([*COEFFICIENTS, *REFLECTANCES, ENERGY, "sampling"])
 _SHAPE = f"{_TRANSFORM} flip_normals silhouette_sampling_weight"
 _MESH = f"{_SHAPE} filename face_normals flip_tex_coords"
 _GRID = f"{_TRANSFORM} filename grid use_grid_bbox max_value filter_type wrap_mode raw accel"

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from .paths import Files
-from .records import ConversionError, Journal
+from .records import Journal
 from .xmlfile import Node
 
 # Elements. References to references that are copied grow like an entity bomb.
@@ -67,7 +67,7 @@ class Context:
         """The node itself, or, of a reference, a copy of what it stands for."""
         found = self.target(node)
         if found is None:
-            raise ConversionError(f"{node.file}, line {node.line}: there is no object with the id '{node.get('id')}'")
+            raise node.error(f"there is no object with the id '{node.get('id')}'")
         if found is node:
             return node
         made = found.clone()
@@ -75,7 +75,7 @@ class Context:
             inner.attrib.pop("id", None)
             self.copied += 1
         if self.copied > MOST_COPIES:
-            raise ConversionError(f"{node.file}, line {node.line}: the references of this scene grow without bound")
+            raise node.error("the references of this scene grow without bound")
         if node.name:
             made.set("name", node.name)
         else:

@@ -6,12 +6,15 @@ course renderers that read 0.6's format. Each rule changes one `<bsdf>` in place
 
 import math
 
+from .. import matching
+from ..vocabulary import DEFAULTS, REFLECTANCES
 from . import bake
 from .context import Context
-from .values import color, number, set_color, to_text
+from .values import color, number, refraction, set_color, to_text
 from .xmlfile import Node
 
-OF_0_6 = ("diffuse_reflectance", "specular_reflectance")
+# The scales of 0.6's `phong`.
+OF_0_6 = REFLECTANCES[:2]
 
 
 def phong(node: Node, context: Context) -> None:
@@ -39,7 +42,7 @@ def blinn(node: Node, context: Context) -> None:
 
 def _exponent(node: Node) -> float:
     given = node.find_named("exponent")
-    return max(number(given), 0.0) if given is not None else 30.0
+    return max(number(given), 0.0) if given is not None else DEFAULTS[2]
 
 
 def _dialect(node: Node, reflectance: Node, context: Context, factor: float, why: str) -> None:
@@ -56,7 +59,7 @@ def _dialect(node: Node, reflectance: Node, context: Context, factor: float, why
         ks.set("name", "ks")
         _scale_texture(ks, factor, context)
         node.append(ks)
-    node.add("float", name="p", value=exponent.get("value", "") if exponent is not None else "30")
+    node.add("float", name="p", value=exponent.get("value", "") if exponent is not None else to_text(DEFAULTS[2:]))
     context.journal.change(
         reflectance.place, f"'reflectance' of '{node.type}' is now 'ks'", f"a course's dialect; ks = {why}"
     )
@@ -74,13 +77,14 @@ def _scale_texture(node: Node, factor: float, context: Context) -> None:
 
 
 def blinn_microfacet(node: Node, context: Context) -> None:
+    """A course's metal, whose microfacets have a Blinn-Phong distribution."""
     p = _exponent(node)
     reflectance = node.take("reflectance")
     values = (color(reflectance) if reflectance is not None else None) or [0.5]
     node[:] = []
     node.set("type", "roughconductor")
     _metal(node, values)
-    node.add("float", name="alpha", value=to_text([math.sqrt(2 / (p + 2))]))
+    node.add("float", name="alpha", value=to_text([matching.roughness(p)]))
     context.journal.loss(
         node.place, "a course's 'blinn_microfacet'", "approximated by 'roughconductor' of the same reflectance"
     )
@@ -98,8 +102,7 @@ def mirror(node: Node, context: Context) -> None:
 
 def _metal(node: Node, values: list[float]) -> None:
     """The index of refraction, without absorption, of a reflectance at normal incidence."""
-    roots = [math.sqrt(min(max(v, 0.0), 0.999)) for v in values]
-    set_color(node.add("float", name="eta", value=""), [(1 + r) / (1 - r) for r in roots])
+    set_color(node.add("float", name="eta", value=""), [refraction(v) for v in values])
     node.add("float", name="k", value="0")
 
 

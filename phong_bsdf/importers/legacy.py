@@ -14,7 +14,6 @@ from .upgrade import upgrade, version_of
 from .xmlfile import Node
 
 VERSION = "3.0.0"
-DEEPEST_INCLUDE = 15
 MOST_INCLUSIONS = 1000
 
 TRANSFORMS = ("lookAt", "lookat", "translate", "rotate", "scale", "matrix")
@@ -73,16 +72,15 @@ def _inline(node: Node, context: Context, open_files: list[Path]) -> None:
             context.defaults.setdefault(child.name, child.get("value", ""))
         elif child.tag == "include":
             path = context.filename(child)
-            where = f"{child.file}, line {child.line}"
             if path is None:
-                raise ConversionError(f"{where}: which file is included depends on a parameter; write its name")
-            if path in open_files or len(open_files) > DEEPEST_INCLUDE:
-                raise ConversionError(f"{where}: '{child.get('filename')}' includes itself, or is included too deeply")
+                raise child.error("which file is included depends on a parameter; write its name")
+            if path in open_files or len(open_files) > xmlfile.DEEPEST_INCLUDE:
+                raise child.error(f"'{child.get('filename')}' includes itself, or is included too deeply")
             if not path.is_file():
-                raise ConversionError(f"{where}: there is no file '{child.get('filename')}'")
+                raise child.error(f"there is no file '{child.get('filename')}'")
             context.inclusions += 1
             if context.inclusions > MOST_INCLUSIONS:
-                raise ConversionError(f"{where}: more than {MOST_INCLUSIONS} files are included")
+                raise child.error(f"more than {MOST_INCLUSIONS} files are included")
             included = xmlfile.read(path)
             _inline(included, context, [*open_files, path])
             parts = list(included) if included.tag == "scene" else [included]

@@ -5,19 +5,14 @@ in `whitted`. What the table adds to that: nothing (1, 2), a mirror of strength 
 equations (5), glass (4, 6, 7, 9). 0 is a constant colour.
 """
 
-import math
 from dataclasses import dataclass
 
+from ..vocabulary import VOCABULARIES
 from .maps import Maps
 from .mtl import Material
 from .records import Journal
-from .values import set_color
+from .values import refraction, set_color
 from .xmlfile import Node
-
-VOCABULARIES = {
-    "coefficients": ("kd", "ks", "p"),
-    "reflectances": ("diffuse_reflectance", "specular_reflectance", "exponent"),
-}
 
 # What the specification leaves open.
 DEFAULTS = {"kd": (0.8, 0.8, 0.8), "ks": (0.0, 0.0, 0.0), "tf": (1.0, 1.0, 1.0)}
@@ -191,8 +186,7 @@ class Materials:
     def _fresnel(self, parent: Node, material: Material) -> None:
         """illum 5: Ks is the reflectance at normal incidence."""
         strength = material.values.get("ks", self._specular(material))
-        roots = [math.sqrt(min(max(s, 0.0), 0.999)) for s in strength]
-        indices = [(1 + r) / (1 - r) for r in roots]
+        indices = [refraction(s) for s in strength]
         black = max(material.values.get("kd", DEFAULTS["kd"])) == 0 and "kd" not in material.maps
         why = "its highlights of the lights are left out: a mirror of points has none"
         if black:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from .. import images
+from ..vocabulary import VOCABULARIES
 from . import meshes, mtl, objfile, xmlfile
 from .legacy import VERSION
 from .maps import Maps
-from .materials import AMBIENT, VOCABULARIES, Materials
+from .materials import AMBIENT, Materials
 from .objfile import Triangles
 from .paths import Files, check_output
 from .records import Conversion, ConversionError, Journal, header

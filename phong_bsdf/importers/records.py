@@ -45,7 +45,7 @@ class Conversion:
 
     @property
     def changes(self) -> tuple[Record, ...]:
-        """The same meaning in other words."""
+        """What is said in other words, with the same meaning."""
         return tuple(record for record in self.records if record.kind == CHANGE)
 
     @property

@@ -72,9 +72,8 @@ def _multiply(node: Node, factor: list[float], context: Context) -> str | None:
         path = _image(node, context)
         if path is None:
             return "the image is missing"
-        raw = node.find_named("raw")
-        gamma = 1.0 if raw is not None and raw.get("value") == "true" else None
-        _use(node, bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled", gamma), context)
+        new = bake.copy(context.files, path, lambda x: bake.scaled(x, factor), "scaled", _gamma(node))
+        _use(node, new, context)
     elif set(factor) != {1.0}:
         return f"Mitsuba 3 cannot scale a '{node.type}'"
     return None
@@ -217,8 +216,13 @@ def mean(node: Node, context: Context) -> float | None:
     path = context.files.written_as(name.attrib["value"]) if name.final else _image(node, context)
     if path is None:
         return None
+    return float(bake.decode(bake.read(path), _gamma(node)).mean())
+
+
+def _gamma(node: Node) -> float | None:
+    """1 where a bitmap's integers are numbers as they are in the file, else None: sRGB."""
     raw = node.find_named("raw")
-    return float(bake.decode(bake.read(path), 1.0 if raw is not None and raw.get("value") == "true" else None).mean())
+    return 1.0 if raw is not None and raw.get("value") == "true" else None
 
 
 def _product(a: list[float], b: list[float]) -> list[float]:

@@ -1,6 +1,6 @@
 """Scenes of Mitsuba 0.2 to 0.5 in the words of 0.6: every name that changed on the way."""
 
-from .records import ConversionError, Journal
+from .records import Journal
 from .values import number, to_text
 from .xmlfile import Node
 
@@ -64,7 +64,7 @@ def version_of(root: Node, journal: Journal) -> tuple[int, ...]:
     try:
         parts = tuple(int(part) for part in text.strip().split("."))
     except ValueError:
-        raise ConversionError(f"{root.file}, line {root.line}: '{text}' is no version such as 0.6.0") from None
+        raise root.error(f"'{text}' is no version such as 0.6.0") from None
     return (*parts, 0, 0)[:3]
 
 

@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from .. import images
-from .records import ConversionError, Journal
+from .records import Journal
 from .xmlfile import Node
 
 # Range of the wavelength bins of Mitsuba 0.x, in nm.
@@ -20,13 +20,13 @@ PLANCK, LIGHT_SPEED, BOLTZMANN = 6.62607015e-34, 299792458.0, 1.380649e-23
 def numbers(text: str, node: Node) -> list[float]:
     """The finite numbers in a list that commas, semicolons or spaces separate."""
     if "$" in text:
-        raise _refuse(node, f"'{text[:60]}' is needed for the conversion: write its value in place of the parameter")
+        raise node.error(f"'{text[:60]}' is needed for the conversion: write its value in place of the parameter")
     try:
         found = [float(part) for part in re.split(r"[\s,;]+", text.strip()) if part]
     except ValueError:
-        raise _refuse(node, f"'{text[:60]}' should be numbers") from None
+        raise node.error(f"'{text[:60]}' should be numbers") from None
     if not found or not all(math.isfinite(x) for x in found):
-        raise _refuse(node, f"'{text[:60]}' should be finite numbers")
+        raise node.error(f"'{text[:60]}' should be finite numbers")
     return found
 
 
@@ -34,7 +34,7 @@ def number(node: Node) -> float:
     """The one number of a property."""
     found = numbers(node.get("value", ""), node)
     if len(found) != 1:
-        raise _refuse(node, f"'{node.get('value')}' should be one number")
+        raise node.error(f"'{node.get('value')}' should be one number")
     return found[0]
 
 
@@ -61,6 +61,12 @@ def set_color(node: Node, values: list[float]) -> None:
     node.set("value", to_text(values))
 
 
+def refraction(reflectance: float) -> float:
+    """The index of refraction, without absorption, of a surface of this reflectance at normal incidence."""
+    root = math.sqrt(min(max(reflectance, 0.0), 0.999))
+    return (1 + root) / (1 - root)
+
+
 def rewrite_colors(context) -> None:
     """All `<srgb>`, `<rgb>`, `<spectrum>` and `<blackbody>` of a scene."""
     journal = context.journal
@@ -81,7 +87,7 @@ def _rewrite_rgb(node: Node, journal: Journal) -> None:
         return
     rgb = _hex(text, node) if text.startswith("#") else numbers(text, node)
     if len(rgb) not in (1, 3):
-        raise _refuse(node, f"<{node.tag}> needs 1 or 3 numbers, got {len(rgb)}")
+        raise node.error(f"<{node.tag}> needs 1 or 3 numbers, got {len(rgb)}")
     if encoded:
         rgb = images.from_srgb(np.array(rgb)).tolist()
     new = to_text(rgb)
@@ -102,7 +108,7 @@ def _rewrite_spectrum(node: Node, journal: Journal) -> None:
         pairs = [pair for pair in re.split(r"[\s,;]+", re.sub(r"\s*:\s*", ":", text)) if pair]
         flat = [numbers(part, node) for pair in pairs for part in pair.split(":")]
         if len(flat) != 2 * len(pairs):
-            raise _refuse(node, f"'{text[:60]}' should be wavelength:value pairs")
+            raise node.error(f"'{text[:60]}' should be wavelength:value pairs")
         node.set("value", ", ".join(pairs))
         return
     values = numbers(text, node)
@@ -125,7 +131,7 @@ def _rewrite_blackbody(node: Node, journal: Journal) -> None:
     kelvin = numbers(text.rstrip("kK"), node)[0]
     scale = numbers(node.attrib.pop("scale", node.attrib.pop("multiplier", "1")), node)[0]
     if kelvin <= 0:
-        raise _refuse(node, f"a temperature must be above 0, got '{text}'")
+        raise node.error(f"a temperature must be above 0, got '{text}'")
     node.tag = "spectrum"
     steps = range(int(FIRST_WAVELENGTH), int(LAST_WAVELENGTH) + 1, WAVELENGTH_STEP)
     node.set("value", ", ".join(f"{nm}:{scale * planck(nm, kelvin):.7g}" for nm in steps))
@@ -142,9 +148,5 @@ def planck(nm: float, kelvin: float) -> float:
 
 def _hex(text: str, node: Node) -> list[float]:
     if not re.fullmatch(r"#[0-9a-fA-F]{6}", text):
-        raise _refuse(node, f"'{text[:20]}' should be # and six hexadecimal digits")
+        raise node.error(f"'{text[:20]}' should be # and six hexadecimal digits")
     return [int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-
-
-def _refuse(node: Node, message: str) -> ConversionError:
-    return ConversionError(f"{node.file}, line {node.line}: {message}")

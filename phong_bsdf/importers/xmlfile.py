@@ -15,6 +15,9 @@ from .records import ConversionError
 # Scenes are about ten levels deep. Beyond this, somebody wants to see the stack overflow.
 DEEPEST = 100
 
+# As Mitsuba.
+DEEPEST_INCLUDE = 15
+
 
 class Node(ET.Element):
     """An XML element that knows where it was read."""
@@ -29,6 +32,10 @@ class Node(ET.Element):
     def place(self) -> tuple[str, int]:
         """File name and line."""
         return self.file, self.line
+
+    def error(self, message: str) -> ConversionError:
+        """An error that is about this element."""
+        return ConversionError(f"{self.file}, line {self.line}: {message}")
 
     @property
     def name(self) -> str:
@@ -54,7 +61,7 @@ class Node(ET.Element):
         return next((child for child in self.nodes if child.name in names), None)
 
     def take(self, *names: str) -> "Node | None":
-        """The same, and remove it."""
+        """Remove, and give, the first element inside that is called one of `names`."""
         found = self.find_named(*names)
         if found is not None:
             self.remove(found)

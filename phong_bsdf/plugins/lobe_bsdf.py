@@ -8,15 +8,7 @@ import mitsuba as mi
 from phong_bsdf import energy, lobes
 from phong_bsdf.materials import SERIALS, Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
-
-# Each vocabulary: name of the diffuse scale, of the lobe's scale, of the exponent.
-COEFFICIENTS = ("kd", "ks", "p")
-REFLECTANCES = ("diffuse_reflectance", "specular_reflectance", "exponent")
-ENERGY = "ensure_energy_conservation"
-DEFAULTS = (0.5, 0.2, 30.0)
-
-# How `sample` chooses directions: by the lobe or the cosine, as much light as each reflects; by one of them alone.
-SAMPLINGS = MIXTURE, COSINE, LOBE = "mixture", "cosine", "lobe"
+from phong_bsdf.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
 
 
 @functools.cache

@@ -131,7 +131,7 @@ class Whitted(Base):
         )
 
     def features(self, scene, sensor, spp):
-        """Those of `needs.FEATURES` that the kernel holds which renders `scene`."""
+        """The features, of `needs.FEATURES`, of the kernel that renders `scene`."""
         features = self.tracer(scene).features()
         return features | {"film block"} if not IS_JIT or self._needs_block(sensor.film(), spp) else features
 
@@ -240,7 +240,7 @@ class Whitted(Base):
 
 
 def _color(tracer, samples, first, pixels):
-    """Of each sample of `pixels` pixels from number `first` on."""
+    """The colour of each sample of `pixels` pixels from number `first` on."""
     ray, weight, _ = samples.pixel_rays(first, pixels)
     radiance, _ = tracer.trace(ray, True)
     return mi.Color3f(mi.unpolarized_spectrum(radiance) * weight)

@@ -3,13 +3,12 @@
 The picture depends on the set of finished passes only.
 """
 
-from datetime import datetime, timezone
 from pathlib import Path
 
 import drjit as dr
 import numpy as np
 
-from .. import images, parts, passes
+from .. import images, machine, parts, passes
 from ..estimates import WeightedMean
 from ..parts import Part
 from ..passes import Pass, Store
@@ -81,9 +80,8 @@ class Folder:
     def write(self, index: int, image: np.ndarray, seconds: float = 0.0) -> None:
         """Keep a finished pass; once it is there, it counts."""
         samples = self.plan.samples(index)
-        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         made = Pass(samples.spp, samples.seed, index, seconds, 0.0, self.plan.subject.variant,
-                    self.plan.subject.versions, passes.machine(dr.thread_count()), now)  # fmt: skip
+                    self.plan.subject.versions, machine.described(dr.thread_count()), machine.now())  # fmt: skip
         self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]))
 
     def keep(self, index: int, content: bytes) -> None:

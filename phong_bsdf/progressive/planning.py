@@ -45,7 +45,7 @@ class Plan:
     """Whether random numbers are used."""
 
     def samples(self, index: int) -> Samples:
-        """Those of one pass."""
+        """Which samples a pass has."""
         seed = rendering.pass_seed(self.seed, index * self.spp) if self.random else 0
         if not self.grid:
             return Samples(self.spp, seed, self.random, index=index)
@@ -60,6 +60,7 @@ class Plan:
         return self.count * self.spp
 
     def json(self) -> str:
+        """The plan as text: what travels, and what a folder of passes keeps."""
         return json.dumps(dataclasses.asdict(self), indent=1)
 
 
@@ -124,17 +125,10 @@ def default_pass_spp(size: tuple[int, int], spp: int) -> int:
 
 
 def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
-    """Samples per pixel that a rendering takes when asked for `spp`: samplers round as they need."""
+    """Samples per pixel that a rendering takes when asked for `spp`."""
     if loaded.integrator == rendering.WHITTED and cameras.grid(spp):
         return spp
-    sampler = loaded.sensor(camera).sampler().clone()
-    before = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        sampler.set_sample_count(spp)
-    finally:
-        mi.set_log_level(before)
-    return int(sampler.sample_count())
+    return cameras.samples_taken(loaded.sensor(camera).sampler().clone(), spp)
 
 
 def _draws(loaded: LoadedScene, camera: int, spp: int) -> bool:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checking.grading import RIGHT, UNREADABLE, Assignment, Checked, Grade, Mistake
+from ..checking import RIGHT, UNREADABLE
+from ..checking.grading import Assignment, Checked, Finding, Grade
 from ..images import replace_file
 from . import page, tables
 
@@ -43,7 +44,7 @@ def text(grade: Grade) -> str:
     return "\n".join([*lines, *(f"  Note: {note}." for note in grade.notes)])
 
 
-def certainty(mistake: Mistake) -> str:
+def certainty(mistake: Finding) -> str:
     """The confidence in words."""
     if mistake.confidence >= ALMOST_SURE:
         return "Almost surely"
@@ -51,12 +52,12 @@ def certainty(mistake: Mistake) -> str:
 
 
 def percent(share: float) -> str:
-    """Of 1; what is not all of it is not 100 %."""
+    """A part of 1 in per cent; what is not all of it is not 100 %."""
     return f"{min(round(100 * share), 99) if share < 0.9995 else 100} %"
 
 
 def score(grade: Grade, points: float = 1.0) -> str:
-    """Of `points`, with two digits; what is not right does not have all of them."""
+    """The score, of `points`, with two digits; what is not right does not have all of them."""
     return f"{points if grade.status == RIGHT else _floor(points * grade.score):.2f}"
 
 

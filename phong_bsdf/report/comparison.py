@@ -103,12 +103,13 @@ def _write_page(path: Path, comparison: Comparison, context: dict[str, str]) -> 
         surfaces=_by_surface(comparison),
         colours=colours(comparison),
         plots=plots(comparison),
-        pictures={name: page.picture(_rgb(image)) for name, image in comparison.images.items()},
+        pictures={name: page.picture(image) for name, image in comparison.images.items()},
         maps={
             name: page.picture(page.false_colours(difference, scale), linear=True)
             for name, difference in differences.items()
         },
         number=tables.number,
+        epsilon=tables.number(EPSILON),
         map_scale=tables.number(scale),
         viewer=page.viewer(comparison.images, scale),
     )
@@ -133,7 +134,3 @@ def _cells(row) -> list[str]:
     errors: Sequence = (row.mse, row.relmse, row.max_error, row.flip, row.mean)
     seconds = (row.seconds_loading, row.seconds_compiling, row.seconds_rendering)
     return [*map(tables.number, errors), str(row.nonfinite), *(f"{s:.2f}" for s in seconds)]
-
-
-def _rgb(image: np.ndarray) -> np.ndarray:
-    return np.broadcast_to(image, (*image.shape[:2], 3))

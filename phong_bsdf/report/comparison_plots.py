@@ -9,9 +9,6 @@ from ..comparison import ORIGINAL, Comparison
 from ..curves import ALBEDO_ANGLES, LOBE_ANGLES, Curves
 from . import page
 
-# Told apart with any kind of colour vision, on white and on black.
-PALETTE = ("#d55e00", "#1f9e89", "#7b6fd0", "#c99700", "#3b8fd6")
-
 # Inches; about the size on a wide page.
 SIZE = (2.7, 1.75)
 
@@ -31,7 +28,7 @@ class Plot:
 def colours(comparison: Comparison) -> dict[str, str]:
     """Each picture's colour in the plots, as CSS."""
     others = [row.picture for row in comparison.rows if row.picture != ORIGINAL]
-    return {ORIGINAL: "currentColor", **{name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)}}
+    return {ORIGINAL: "currentColor", **{name: page.PALETTE[i % len(page.PALETTE)] for i, name in enumerate(others)}}
 
 
 def plots(comparison: Comparison) -> dict[str, list[Plot]]:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..convergence import conclusions, study
+from ..convergence import conclusions, study, tradeoff
 from ..convergence.conclusions import Conclusions
 from ..images import write as write_image
 from ..metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
 from .convergence_tables import NAMES, NOT_YET, all_tables, finest_level, verdict
-from .study import Curve, Plot, Point, drawn, interval, legend, write_svg
+from .study_page import Curve, Plot, Point, drawn, interval, legend, write_svg
 
 PAGE = "index.html"
 
@@ -146,7 +146,7 @@ def _gallery(found: Conclusions, pictures, maps, scale: float) -> dict[str, obje
         "title": f"Pictures after about {tables.number(found.picture_seconds)} s",
         "pictures": [
             {
-                "name": name, "image": page.picture(np.broadcast_to(image, (*image.shape[:2], 3))),
+                "name": name, "image": page.picture(image),
                 "map": page.picture(page.false_colours(maps[name], scale), linear=True) if name in maps else None,
                 "caption": captions.get(name, ""),
             }
@@ -170,7 +170,7 @@ def _map_scale(maps: Mapping[str, np.ndarray]) -> float:
         return float(np.median([page.difference_scale([one]) for one in maps.values()] or [1.0]))
 
 
-def _best(table: study.Table, names: list[str], reference: str) -> list[str]:
+def _best(table: tradeoff.Table, names: list[str], reference: str) -> list[str]:
     """The three best after the longest time for which there are two or more."""
     for i in reversed(range(len(table.columns))):
         known = [(n, table.rows[n][i].estimate) for n in names if n in table.rows and table.rows[n][i]]

@@ -2,11 +2,11 @@
 
 import math
 
-from ..convergence import study
+from ..convergence import study, tradeoff
 from ..convergence.conclusions import Conclusions
 from ..metrics import EPSILON
 from . import tables
-from .study import Cell, Table, estimate, interval, number
+from .study_page import Cell, Table, estimate, interval, number
 
 NAMES = {"relmse": "relMSE", "mse": "MSE", "max_error": "largest error", "flip": "FLIP"}
 
@@ -56,7 +56,7 @@ def finest_level(result: study.Result) -> study.Level | None:
 
 
 def _why(result: study.Result) -> Cell:
-    """Of a method without a level."""
+    """Why a method has no level, as a cell."""
     return Cell(result.failure, kind="words bad") if result.failure else Cell(NOT_YET, kind="words")
 
 
@@ -105,7 +105,7 @@ def _equal_error(found: Conclusions) -> Table:
                   "those with the same reference.")  # fmt: skip
 
 
-def _cells(identifier: str, title: str, headings, table: study.Table, found: Conclusions, note: str) -> Table:
+def _cells(identifier: str, title: str, headings, table: tradeoff.Table, found: Conclusions, note: str) -> Table:
     references = {result.name: result.reference for result in found.results}
     rows = []
     for name, cells in table.rows.items():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..convergence.lobe_errors import LobeError, LobeErrors
 from . import page, tables
-from .study import Cell, Curve, Plot, Point, Table, drawn, estimate, interval, legend, number
+from .study_page import Cell, Curve, Plot, Point, Table, drawn, estimate, interval, legend, number
 
 PAGE = "index.html"
 

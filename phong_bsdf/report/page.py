@@ -21,6 +21,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 # Drawn in this colour, a line of a plot takes that of the page's text, in light and dark.
 INK = "#010203"
 
+# Of curves: told apart with any kind of colour vision, on white and on black.
+PALETTE = ("#d55e00", "#1f9e89", "#7b6fd0", "#c99700", "#3b8fd6", "#cc6699")
+
 # Half floats end at 65504.
 LARGEST_HALF = 6e4
 
@@ -85,7 +88,7 @@ def colour_map() -> np.ndarray:
 
 
 def false_colours(difference: np.ndarray, scale: float) -> np.ndarray:
-    """The mean over the colours of |difference| as a picture for `png(..., linear=True)`."""
+    """The mean over the colours of |difference|, an image, as colours for `picture(..., linear=True)`."""
     share = np.abs(difference).mean(axis=-1) / scale if scale > 0 else np.zeros(difference.shape[:2])
     return colour_map()[np.rint(255 * np.clip(np.nan_to_num(share, nan=1.0), 0, 1)).astype(int)] / 255.0
 
@@ -97,8 +100,19 @@ def difference_scale(differences: Iterable[np.ndarray]) -> float:
 
 
 def picture(image: np.ndarray, *, linear: bool = False) -> str:
-    """An image as the address of an `<img>`."""
-    return "data:image/png;base64," + _base64(png(np.asarray(image, np.float32), linear=linear))
+    """An image, (height, width, 1 or 3), as the address of an `<img>`."""
+    colours = np.broadcast_to(np.asarray(image, np.float32), (*image.shape[:2], 3))
+    return "data:image/png;base64," + _base64(png(colours, linear=linear))
+
+
+def svg_file(figure, **options) -> str:
+    """A matplotlib figure as the text of an SVG file, which does not change when the figure does not."""
+    import matplotlib
+
+    text = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": "phong_bsdf"}):
+        figure.savefig(text, format="svg", metadata={"Date": None}, **options)
+    return text.getvalue()
 
 
 def svg(figure, label: str):
@@ -106,11 +120,9 @@ def svg(figure, label: str):
     import matplotlib
     from markupsafe import Markup, escape
 
-    text = io.StringIO()
-    # Text stays text; identifiers depend on the content alone.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "phong_bsdf"}):
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    drawing = text.getvalue().replace(INK, "currentColor")
+    # Text stays text.
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        drawing = svg_file(figure, transparent=True).replace(INK, "currentColor")
     drawing = drawing[drawing.index("<svg") :]
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r' (width|height)="[\d.]+pt"', "", drawing, count=2)

@@ -7,6 +7,7 @@ import numpy as np
 
 from .. import metrics
 from ..checking.references import Outcome
+from ..checking.verdict import TILE
 from . import page, tables
 from .check import HEAT
 
@@ -21,8 +22,8 @@ def write(path: Path, test: str, name: str, outcome: Outcome) -> None:
     errors = metrics.errors(actual, expected)
     page.write(
         Path(path), "render_check.html", title=f"{name}: differs from its reference", summary=test,
-        context=tables.context(), verdict=outcome.verdict, noisy=outcome.noisy, number=tables.number, errors=errors,
-        expected=page.picture(expected), actual=page.picture(actual), scale=tables.number(scale),
+        context=tables.context(), verdict=outcome.verdict, noisy=outcome.noisy, tile=TILE, number=tables.number,
+        errors=errors, expected=page.picture(expected), actual=page.picture(actual), scale=tables.number(scale),
         difference=page.picture(page.false_colours(difference, scale), linear=True),
         heat=page.picture(page.false_colours(excess[..., None], HEAT), linear=True), heat_scale=tables.number(HEAT),
         viewer=page.viewer({"expected": expected, "actual": actual}, scale),

@@ -1,12 +1,11 @@
 """The stability sweep as a table, CSV, JSON and plots."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..images import replace_file
 from ..stability import BARS, Row
-from . import tables
+from . import page, tables
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -62,11 +61,8 @@ def _plots(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 def plot(path: Path, rows: Sequence[Row], quantity: str) -> Path:
     """Worst errors over the exponents, both lobes side by side; needs matplotlib."""
-    import matplotlib
     from matplotlib.figure import Figure
 
-    # A file that does not change when its numbers do not.
-    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
     figure = Figure(figsize=(9, 4), layout="constrained")
     for axes, lobe in zip(figure.subplots(1, 2, sharey=True), ("phong", "blinnphong"), strict=True):
         chosen = [row for row in rows if (row.quantity, row.lobe) == (quantity, lobe)]
@@ -81,7 +77,5 @@ def plot(path: Path, rows: Sequence[Row], quantity: str) -> Path:
         axes.set(title=f"{quantity}, {lobe}", xlabel="p (0 at the left)", ylim=(1e-8, 2e3))
     figure.axes[0].set_ylabel("worst relative error (cut at 1000)")
     figure.axes[1].legend()
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    replace_file(path, text.getvalue())
+    replace_file(path, page.svg_file(figure))
     return path

@@ -1,4 +1,4 @@
-"""The table of a sweep: CSV, Parquet, and a line to say."""
+"""The table of a sweep, as CSV and Parquet."""
 
 import csv
 import io

@@ -7,10 +7,10 @@ import json
 import math
 import platform
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 
+from .. import machine
 from ..images import replace_file
 
 
@@ -28,8 +28,8 @@ def context() -> dict[str, str]:
         "llvm": ".".join(map(str, drjit.detail.llvm_version())),
         "variant": str(mi.variant()),
         "python": platform.python_version(),
-        "machine": f"{platform.machine()}, {_cores()} cores",
-        "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": f"{platform.machine()}, {machine.cores()} cores",
+        "time": machine.now(),
     }
 
 
@@ -83,9 +83,3 @@ def _plain(value):
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _cores() -> int:
-    import os
-
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -6,7 +6,7 @@ its inputs.
 
 import numpy as np
 
-from .. import lobes
+from .. import lobes, matching
 
 
 def value_and_pdf(lobe: str, wi: np.ndarray, wo: np.ndarray, p: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -84,11 +84,12 @@ def normalization(lobe: str, p: float) -> float:
     return (p + 2) * (p + 4) / (8 * np.pi * (2 ** (-p / 2) + p))
 
 
-def beckmann(wi, wo, p):
+def beckmann(wi: np.ndarray, wo: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    """(value, condition number) of the Beckmann distribution whose roughness matches `p`, for float32 directions."""
     h = np.sum([v / np.linalg.norm(v.astype(np.float64), axis=1, keepdims=True) for v in (wi, wo)], axis=0)
     length = np.linalg.norm(h, axis=1)
     tan2, cos = (h[:, 0] ** 2 + h[:, 1] ** 2) / h[:, 2] ** 2, h[:, 2] / length
-    alpha2 = float(np.float32(np.sqrt(2 / (p + 2)))) ** 2
+    alpha2 = float(np.float32(matching.roughness(p))) ** 2
     with np.errstate(under="ignore", over="ignore", divide="ignore"):
         value = np.exp(-tan2 / alpha2) / (np.pi * alpha2 * cos**4)
         return value, (2 * np.sqrt(tan2) / (alpha2 * cos**2) + 4 * np.sqrt(tan2)) / (length / 2)

@@ -4,7 +4,8 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
+
+from .. import matching
 
 
 def phong(wi, wo, p):
@@ -54,5 +55,5 @@ def _sample_cos_power(p, xi):
 
 def beckmann(wi, wo, p):
     """The lobe of `roughconductor` at the matched roughness, evaluated as it does."""
-    alpha = float(np.sqrt(2 / (p + 2)))
+    alpha = matching.roughness(p)
     return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, alpha, alpha, False).eval(dr.normalize(wi + wo))

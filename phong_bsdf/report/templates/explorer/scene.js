@@ -71,7 +71,8 @@ function compile(s) {
     return u > 1e-9 && u < 1;
   }
 
-  // Adds the light that `weight` of the surface at the point sends against the direction d.
+  // Adds the light that `weight` of the surface at the point sends against the direction d: `reflected` of model.js,
+  // written out, since this runs for each sample and light.
   function shade(out, weight, dx, dy, dz) {
     const m = surfaces[what], ball = what === BALL, x = spot[0], y = spot[1], z = spot[2];
     const nx = ball ? x : 0, ny = ball ? y : 1, nz = ball ? z : 0;

@@ -1,6 +1,5 @@
 """What pages of error against time are made of, whatever was measured: plots of curves, tables that sort."""
 
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +10,6 @@ from ..estimates import Estimate
 from ..images import replace_file
 from . import page, tables
 
-# Told apart with any kind of colour vision, on white and on black; then again, dashed.
-PALETTE = ("#d55e00", "#1f9e89", "#7b6fd0", "#c99700", "#3b8fd6", "#cc6699")
 MARKERS = "osD^vPX*"
 
 # Inches; the height of two lines of text is about that of the page's text on a wide screen.
@@ -26,7 +23,7 @@ LOWEST_SHARE = 0.03
 
 @dataclass(frozen=True)
 class Cell:
-    """Of a table: what is read, and what is sorted by (None: the text)."""
+    """A cell of a table: what is read, and what is sorted by (None: the text)."""
 
     text: str
     value: float | None = None
@@ -47,7 +44,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Point:
-    """Of a curve: where it is, how sure that is, and what is said about it."""
+    """A point of a curve: where it is, how sure that is, and what is said about it."""
 
     x: float
     x_low: float
@@ -114,14 +111,12 @@ def write_svg(path: Path, plot: Plot) -> None:
     """The plot as a file, with its legend."""
     import matplotlib
 
-    with matplotlib.rc_context({"font.size": 8, "svg.hashsalt": "phong_bsdf"}):
+    with matplotlib.rc_context({"font.size": 8}):
         figure, _ = _figure(plot, ink="black")
         if any(curve.points for curve in plot.curves):
             figure.axes[0].legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
         figure.axes[0].set_position((AREA[0], AREA[1], 0.74, AREA[3]))
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    replace_file(path, text.getvalue())
+        replace_file(path, page.svg_file(figure))
 
 
 def _inline(plot: Plot):
@@ -185,8 +180,9 @@ def _marker(i: int) -> str:
 
 
 def _colour(i: int) -> str:
-    return PALETTE[i % len(PALETTE)]
+    return page.PALETTE[i % len(page.PALETTE)]
 
 
 def _dashed(i: int) -> bool:
-    return i // len(PALETTE) % 2 == 1
+    # Where the colours begin again.
+    return i // len(page.PALETTE) % 2 == 1
