@@ -1,5 +1,6 @@
 """Finds a Dask cluster by what `--cluster` says, starts one where it says `local`, and compares versions."""
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -17,6 +18,9 @@ from . import work
 
 # Of a connection, and of the answers of workers to the first question; who is later is asked again by each order.
 SECONDS = 20
+
+# Until Python 3.10 asyncio has one of its own.
+TIMEOUTS = (TimeoutError, asyncio.TimeoutError)
 
 INSTALL = "`pip install 'phong-bsdf[cluster]'` installs what --cluster needs"
 
@@ -132,7 +136,7 @@ class Cluster:
 
     def close(self) -> None:
         """Leave the cluster; a local one ends."""
-        with contextlib.suppress(TimeoutError, OSError):
+        with contextlib.suppress(*TIMEOUTS, OSError):
             self.client.close(timeout=2)
         if self.local is not None:
             _end(self.local)
@@ -165,7 +169,7 @@ class Cluster:
             place = {"scheduler_file": str(self.where.file)}
         try:
             return Client(**place, security=security, timeout=seconds, set_as_default=False, name="phong-bsdf")
-        except (OSError, TimeoutError, ValueError) as error:
+        except (*TIMEOUTS, OSError, ValueError) as error:
             reason = str(error) or type(error).__name__
             raise ClusterError(f"--cluster: {self.where} does not answer: {reason}") from None
 
@@ -237,7 +241,7 @@ def _started(count: int, verbose: bool):
 def _end(local) -> None:
     """End a local cluster; processes that take too long over it are killed."""
     ids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
-    with contextlib.suppress(TimeoutError):
+    with contextlib.suppress(*TIMEOUTS):
         local.close(timeout=5)
         return
     for number in ids:

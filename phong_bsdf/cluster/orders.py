@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from . import work
-from .connection import Cluster, ClusterError, mismatch
+from .connection import TIMEOUTS, Cluster, ClusterError, mismatch
 from .work import Order, Result
 
 # Orders that are under way for each worker: the one that it does and the one that it can begin at once.
@@ -163,7 +163,7 @@ class Orders:
         """None where the attempt failed by the cluster's fault; the order then waits again."""
         try:
             result = attempt.future.result(timeout=RESULT_SECONDS)
-        except (TimeoutError, asyncio.TimeoutError):
+        except TIMEOUTS:
             self._lost(attempt, "its result did not come")
             self._end_worker(attempt.worker)
             return None
