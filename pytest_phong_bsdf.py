@@ -115,6 +115,8 @@ class RenderCheck:
 
     def __call__(self, scene, name: str | None = None, **options):
         """Render (or take the array `scene`), and compare with the reference `name`."""
+        import numpy as np
+
         from phong_bsdf.checking import references
         from phong_bsdf.rendering import SceneError
 
@@ -149,8 +151,10 @@ class RenderCheck:
             # Not in the `except`, where pytest would show both.
             self.fail(path, refusal, None)
         elif not outcome.verdict.passed:
-            accept = f"If the new picture is right, run: {self.command()}"
-            self.fail(path, f"{outcome.verdict.words}\nReference: {references.files(path)[0]}\n{accept}", outcome)
+            words = f"{outcome.verdict.words}\nReference: {references.files(path)[0]}"
+            if np.isfinite(outcome.actual).all():
+                words += f"\nIf the new picture is right, run: {self.command()}"
+            self.fail(path, words, outcome)
 
     def scene_file(self, path: Path) -> Path:
         """A scene's file: beside the test file, like its reference, or else in the current folder."""

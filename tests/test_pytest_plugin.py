@@ -195,6 +195,12 @@ def test_what_cannot_be_a_reference(project):
     result.stdout.fnmatch_lines(["*1 pixel of the picture is not finite*", "*no.xml: there is no such file*",
                                  "*not one of shape (5,)*"])  # fmt: skip
     assert not (project.path / "references").exists()
+    # Nor is it advised beside one that is.
+    hole = BROKEN.split("def test_missing")[0]
+    project("--phong-update-references", test=hole.replace("np.nan", "0.5")).assert_outcomes(passed=1)
+    result = project(test=hole)
+    result.stdout.fnmatch_lines(["*not finite*", "*Reference: *"])
+    result.stdout.no_fnmatch_line("*If the new picture is right*")
 
 
 @pytest.mark.slow
@@ -273,6 +279,23 @@ def test_variants(project):
     args = ["--phong-variant", "llvm_ad_rgb", "--phong-variant", "scalar_rgb"]
     plain = BALL.format(", spp=1, name='test_ball'")
     project(*args, test=plain).assert_outcomes(passed=2)
+
+
+OFTEN = """
+import mitsuba as mi
+
+def test_integrator(phong_variant):
+    for name in ("prb", "prb_basic"):
+        assert isinstance(mi.load_dict({"type": name}), mi.SamplingIntegrator)
+"""
+
+
+def test_any_number_of_changes(project, monkeypatch):
+    """After a hundred changes of variants Dr.Jit warns; where that is an error, Mitsuba's integrators stay whole."""
+    monkeypatch.setattr("drjit.ast._syntax_counter", 1000)
+    variants = ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_mono")
+    for variant in variants:
+        project(f"--phong-variant={variant}", test=OFTEN).assert_outcomes(passed=1)
 
 
 ISOLATION = """

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import warnings
 from collections.abc import Iterator
 
 import drjit as dr
@@ -20,7 +21,7 @@ def isolated(variant: str) -> Iterator[None]:
     check_variant(variant)
     before, threads, resolver = mi.variant(), dr.thread_count(), mi.file_resolver()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     flags = {flag: dr.flag(flag) for flag in _single_flags()}
-    mi.set_variant(variant)
+    _set_variant(variant)
     level = mi.logger().log_level()  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     mi.set_log_level(mi.LogLevel.Warn)
     try:
@@ -37,7 +38,17 @@ def isolated(variant: str) -> Iterator[None]:
         mi.set_log_level(level)
         mi.set_file_resolver(resolver)  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
         if before is not None:
-            mi.set_variant(before)
+            _set_variant(before)
+
+
+def _set_variant(variant: str) -> None:
+    """Mitsuba transforms its integrators anew each time; after a hundred times Dr.Jit warns of that.
+
+    As an error, which it is where tests turn warnings into errors, it would leave them half made.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
+        mi.set_variant(variant)
 
 
 def _single_flags() -> list:
