@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -206,8 +207,11 @@ def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
 
 @contextlib.contextmanager
 def _noticed(interrupted: threading.Event) -> Iterator[None]:
-    """Set at Ctrl-C. Its exception alone is lost amid a callback of the garbage collector, and Dask has one."""
-    before = signal.getsignal(signal.SIGINT)
+    """Set at Ctrl-C. Its exception alone is lost amid a callback of the garbage collector, and Dask has one.
+
+    Python would print what is lost, with its traceback.
+    """
+    before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
     if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -216,11 +220,17 @@ def _noticed(interrupted: threading.Event) -> Iterator[None]:
         interrupted.set()
         raise KeyboardInterrupt
 
+    def tell(lost):
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            told(lost)
+
     signal.signal(signal.SIGINT, notice)
+    sys.unraisablehook = tell
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = told
 
 
 def _started(count: int, verbose: bool):
