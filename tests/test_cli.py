@@ -13,7 +13,7 @@ import OpenEXR
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images
+from phong_bsdf import images, machine
 from phong_bsdf.cli import main
 
 COURSE = Path(__file__).parent.parent / "scenes/course/scene-3.xml"
@@ -204,6 +204,20 @@ def test_threads(folder, threads):
     draw("a.xml", "-o", "a.exr", "-t", threads)
     try:
         assert dr.thread_count() == max(2, threads)
+    finally:
+        dr.set_thread_count(before)
+
+
+def test_threads_are_the_cores_that_may_be_used(folder, monkeypatch):
+    """A batch system that gives a part of a machine gets no more threads than that."""
+    code = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); from phong_bsdf import machine as m"
+    child = subprocess.run([sys.executable, "-c", f"{code}; print(m.cores())"], capture_output=True, text=True)
+    assert child.stdout == "1\n", child.stderr
+    before = dr.thread_count()
+    monkeypatch.setattr(machine, "cores", lambda: 5)
+    draw("a.xml", "-o", "a.exr")
+    try:
+        assert dr.thread_count() == 5
     finally:
         dr.set_thread_count(before)
 

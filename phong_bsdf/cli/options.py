@@ -90,7 +90,7 @@ class MethodSpec(click.ParamType):
 
 mode_option = click.option("-m", "--mode", "variant", help="Mitsuba variant. Default: llvm_ad_rgb, else scalar_rgb.")
 threads_option = click.option("-t", "--threads", type=click.IntRange(min=1),
-                              help="Threads, at least 2. Default: one for each core.")  # fmt: skip
+                              help="Threads, at least 2. Default: one for each core that it may use.")  # fmt: skip
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Show Mitsuba's log.")
 
 # Of commands that write pictures.

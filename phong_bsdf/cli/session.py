@@ -1,6 +1,5 @@
 """What every command does first and last: variant and threads, a progress bar, errors and advice as sentences."""
 
-import os
 import shlex
 import shutil
 import sys
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from .. import llvm, registry
+from .. import llvm, machine, registry
 
 
 def start(variant: str | None, threads: int | None, verbose: bool) -> None:
@@ -31,7 +30,7 @@ def start(variant: str | None, threads: int | None, verbose: bool) -> None:
         raise ValueError(f"the variant '{variant}' does not work here: {str(error).split('! ')[0]}. {remedy}") from None
     mi.set_log_level(mi.LogLevel.Info if verbose else mi.LogLevel.Warn)
     # With a single thread Mitsuba's bitmap textures wait for ever.
-    dr.set_thread_count(max(2, threads or os.cpu_count() or 2))
+    dr.set_thread_count(max(2, threads or machine.cores()))
 
 
 def drjit_has_llvm() -> bool:

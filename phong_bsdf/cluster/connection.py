@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .. import machine
 from . import work
 
 # Of a connection, and of the answers of workers to the first question; who is later is asked again by each order.
@@ -190,7 +191,7 @@ def connected(where: Address, verbose: bool = False) -> Iterator[Cluster]:
     if not verbose:
         # Lost workers and schedulers are told by this package, in a line.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    local = None if where.local is None else _started(where.local or max((os.cpu_count() or 2) // 2, 1), verbose)
+    local = None if where.local is None else _started(where.local or max(machine.cores() // 2, 1), verbose)
     cluster = None
     try:
         cluster = Cluster(where, local)

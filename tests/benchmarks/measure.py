@@ -10,7 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 from unittest import mock
 
 import phong_bsdf  # before mitsuba: it chooses the LLVM
@@ -18,6 +17,8 @@ import phong_bsdf  # before mitsuba: it chooses the LLVM
 import drjit as dr  # isort: skip
 import mitsuba as mi
 import numpy as np
+
+from phong_bsdf import machine
 
 
 @dataclass(frozen=True)
@@ -161,11 +162,7 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float:
 
 @functools.cache
 def _machine() -> str:
-    cpu = Path("/proc/cpuinfo")
-    names = [line.split(":", 1)[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")] \
-        if cpu.is_file() else []  # fmt: skip
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{names[0] if names else platform.machine()}, {cores} cores"
+    return f"{machine.processor() or platform.machine()}, {machine.cores()} cores"
 
 
 @functools.cache

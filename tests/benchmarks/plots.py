@@ -1,10 +1,10 @@
 """Plots of records, from nothing but the records. Needs matplotlib."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 from phong_bsdf.images import replace_file
+from phong_bsdf.report import page
 
 from .measure import Record
 
@@ -109,16 +109,12 @@ PLOTS = {
 
 def draw(path: Path, name: str, records: Sequence[Record]) -> None:
     """The plot of one benchmark as SVG; a file that does not change when its numbers do not."""
-    import matplotlib
     from matplotlib.figure import Figure
 
-    matplotlib.rcParams["svg.hashsalt"] = "phong_bsdf"
     plot, size = PLOTS[name]
     figure = Figure(figsize=size, layout="constrained")
     plot(figure, records)
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    replace_file(path, text.getvalue())
+    replace_file(path, page.svg_file(figure))
 
 
 def _all(records, **where):
