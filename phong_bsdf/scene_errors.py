@@ -6,12 +6,12 @@ Where Mitsuba does not know a name, plain words say which one was meant.
 import difflib
 import re
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 
 import mitsuba as mi
 
 from . import needs
-from .importers.catalogue import PLUGINS
 from .registry import PLUGINS as OURS
 
 
@@ -69,9 +69,17 @@ def _reworded(text: str) -> str:
     return re.sub(unread, _parameters, text, flags=re.DOTALL)
 
 
+def _catalogue(kind: str) -> Mapping[str, str]:
+    """The plugins of a kind, and their parameters."""
+    # Late: the importers take longer to import than most scenes to parse, and most scenes have no mistake.
+    from .importers.catalogue import PLUGINS
+
+    return PLUGINS.get(kind, {})
+
+
 def _plugin(error: re.Match) -> str:
     kind, name = error.groups()
-    return f"there is no {kind} '{name}'{_meant(name, PLUGINS.get(kind, ()))}"
+    return f"there is no {kind} '{name}'{_meant(name, _catalogue(kind))}"
 
 
 def _number(error: re.Match) -> str:
@@ -90,7 +98,7 @@ def _defines(error: re.Match) -> str:
 
 def _parameters(error: re.Match) -> str:
     kind, plugin, listed = error.groups()
-    known = PLUGINS.get(kind, {}).get(plugin, "").split()
+    known = _catalogue(kind).get(plugin, "").split()
     # What has no name in the scene is called _arg_0, _arg_1, ...
     objects = re.findall(r'^  - object "_arg_\d+": (\w+)', listed, re.M)
     if objects:

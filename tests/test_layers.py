@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,10 @@ def test_imports_go_down(path):
 def test_every_documented_module_exists():
     """The table lists no module that is gone."""
     assert all((PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file() for name in documented())
+
+
+def test_rendering_loads_no_importers():
+    """Most scenes have no mistake, so what would tell of one is loaded when it is needed."""
+    code = "import sys, phong_bsdf.rendering; print([name for name in sys.modules if 'importers' in name])"
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert child.stdout == "[]\n", child.stdout + child.stderr
