@@ -1,5 +1,9 @@
 """Methods of rendering: which ones a scene supports, what they change in it, and what they are measured against."""
 
+import os
+import subprocess
+import sys
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -192,3 +196,25 @@ def test_merged_as_mitsuba_merges(scene):
     made = loaded(read, methods.Method("m", sampling="lobe"))
     assert len({shape.bsdf().ptr for shape in made.shapes()}) == 1
     assert np.array(mi.render(made, spp=1)).max() > 0
+
+
+BARE = """
+<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"><film type="hdrfilm"/></sensor>
+<emitter type="constant"/><shape type="sphere"><bsdf type="phong"/></shape></scene>
+"""
+FREED = """
+import sys, phong_bsdf, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+from phong_bsdf.convergence import methods
+read = methods.read(sys.argv[1])
+for method in methods.chosen(read, []):
+    nodes = methods.applied(read, method).nodes
+    assert [node.type for node in nodes].count(mi.ObjectType.Sampler) == 1
+"""
+
+
+def test_camera_without_a_sampler(tmp_path):
+    """It gets one: the parsed scene grows, and moves in memory, where what is freed is overwritten here."""
+    (tmp_path / "a.xml").write_text(BARE)
+    environment = {**os.environ, "MALLOC_PERTURB_": "165"}
+    subprocess.run([sys.executable, "-c", FREED, tmp_path / "a.xml"], env=environment, check=True)

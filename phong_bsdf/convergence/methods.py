@@ -192,9 +192,10 @@ def applied(scene: Scene, method: Method):
         for index in scene.lobes:
             _change(state, index, {"sampling": method.sampling})
     _set_integrator(scene, state, method)
-    for index, node in enumerate(list(state.nodes)):
-        if node.type == mi.ObjectType.Sensor:
-            _set_sampler(state, index, method.sampler)
+    # First all of them: a sampler that is added may move the nodes in memory, and what refers to one is invalid then.
+    sensors = [index for index, node in enumerate(state.nodes) if node.type == mi.ObjectType.Sensor]
+    for index in sensors:
+        _set_sampler(state, index, method.sampler)
     return state
 
 
