@@ -18,9 +18,19 @@ NULL = int(mi.BSDFFlags.Null)
 # is under it undiminished. Adapters (`twosided`, `mask`, ...) pass both on.
 MIRRORLESS = 1 << 30
 
+# Another, in type masks only: `si.wi` says no more than from which side the surface is seen (`facing.py`).
+COURSE = 1 << 29
+
+# `BSDFContext.component` where all are meant.
+ALL_COMPONENTS = 0xFFFFFFFF
+
 # Emitters that `whitted` serves: plugin -> class.
 LIGHTS = {"point": "PointLight", "spot": "SpotLight", "projector": "Projector", "directional": "DirectionalEmitter"}
 BACKGROUNDS = {"constant": "ConstantBackgroundEmitter", "envmap": "EnvironmentMapEmitter"}
+
+# Shapes without triangles. A scene of others needs the flag, or rays slip between the triangles of its meshes.
+ANALYTIC = ("sphere", "rectangle", "disk", "cylinder")
+ROBUST = "embree_use_robust_intersections"
 
 # What a kernel holds only where the scene needs it, and what it lacks where not; `keep` of the functions below names
 # what it holds all the same.
@@ -77,7 +87,7 @@ def check_lights(scene) -> None:
 
 def delta_lobes(scene, keep=frozenset()) -> DeltaLobes:
     """The delta lobes of all BSDFs of `scene`, and those that `keep` asks to be prepared for."""
-    bsdfs = _bsdfs(scene)
+    bsdfs = bsdfs_of(scene)
     for bsdf in bsdfs:
         if hasattr(bsdf, "refresh"):
             bsdf.refresh()
@@ -135,7 +145,7 @@ def wake(scene) -> None:
     params.update()
 
 
-def _bsdfs(scene) -> list:
+def bsdfs_of(scene) -> list:
     """Every BSDF that a ray can meet in `scene`."""
     found = {bsdf.ptr: bsdf for bsdf in (shape.bsdf() for shape in scene.shapes()) if bsdf is not None}
     if dr.is_jit_v(mi.Float) and has_instances(scene):

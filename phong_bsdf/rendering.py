@@ -101,9 +101,20 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
     try:
         with files_beside(path):
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
-            return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
+            state = mi.parser.ParserState(state)
+            _close_gaps(state)
+            return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), state)
     except RuntimeError as error:
         raise SceneError(sentence(error, path)) from None
+
+
+def _close_gaps(state: "mi.parser.ParserState") -> None:
+    """Ask for meshes without gaps between their triangles, unless the scene says otherwise."""
+    shapes = {node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Shape}
+    root = state.nodes[0]
+    if root.type == mi.ObjectType.Scene and shapes - set(needs.ANALYTIC) and needs.ROBUST not in root.props:
+        root.props[needs.ROBUST] = True
+        state.nodes[0] = root
 
 
 def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None = None) -> LoadedScene:

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .dispatch import Dispatch
+from .geometry import Geometry, Tight
 from .lights import Dark, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
@@ -33,6 +34,7 @@ class Memory:
     table: Table = field(default_factory=Table)
     dark: Dark = field(default_factory=Dark)
     seen: Seen = field(default_factory=Seen)
+    tight: Tight = field(default_factory=Tight)
 
 
 class Tracer:
@@ -62,6 +64,7 @@ class Tracer:
             keep = keep - {"branches"}
         check_lights(scene)
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
+        self.geometry = Geometry(scene, memory.tight)
         self.surfaces = Surfaces(scene, memory.seen)
         self.background = scene.environment()
         self.course = convention == "course"
@@ -241,7 +244,7 @@ class Tracer:
         Returns the light that it brings, whether it meets anything, and the rays that
         go on: a list of (origin, direction, throughput, lanes).
         """
-        si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=active)
+        si = self.geometry.hit(ray, depth == 0, active)
         hit = active & si.is_valid()
         escaped = active & (hit == False)  # noqa: E712  (~ is no logical not on a Python bool)
         light, seen = mi.Spectrum(0), hit
@@ -303,7 +306,7 @@ class Tracer:
             active = active & (dr.max(dr.abs(mi.unpolarized_spectrum(value))) > 0)
         if self.shadows:
             shadow = self.surfaces.shadow_ray(si, direction, distance, tolerance)
-            active = active & (self.scene.ray_test(shadow, coherent=False, active=active) == False)  # noqa: E712
+            active = active & (self.geometry.blocked(shadow, active) == False)  # noqa: E712
         return dr.select(active, value, 0)
 
     def _reflect(self, si, material, tolerance, beta, depth, active):

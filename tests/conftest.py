@@ -82,3 +82,32 @@ def any_variant(request):
     mi.set_variant(request.param)
     mi.set_log_level(mi.LogLevel.Error)
     return request.param
+
+
+class Messages(mi.Appender):
+    """Collects what Mitsuba logs."""
+
+    def __init__(self):
+        super().__init__()
+        self.lines = []
+
+    def append(self, level, text):
+        self.lines.append((level, text))
+
+    def log_progress(self, *_):
+        pass
+
+
+@pytest.fixture
+def messages():
+    """Mitsuba's warnings, instead of on the terminal."""
+    logger, collected = mi.logger(), Messages()
+    before = [logger.appender(i) for i in range(logger.appender_count())]
+    logger.clear_appenders()
+    logger.add_appender(collected)
+    mi.set_log_level(mi.LogLevel.Warn)
+    yield collected.lines
+    logger.clear_appenders()
+    for appender in before:
+        logger.add_appender(appender)
+    mi.set_log_level(mi.LogLevel.Error)

@@ -165,35 +165,6 @@ def test_reciprocity(kind):
             assert dr.mean(dr.select(dr.abs(one / other - 1) > 0.01, 1.0, 0.0))[0] > 0.1
 
 
-class Messages(mi.Appender):
-    """Collects what Mitsuba logs."""
-
-    def __init__(self):
-        super().__init__()
-        self.lines = []
-
-    def append(self, level, text):
-        self.lines.append((level, text))
-
-    def log_progress(self, *_):
-        pass
-
-
-@pytest.fixture
-def messages():
-    """Mitsuba's warnings, instead of on the terminal."""
-    logger, collected = mi.logger(), Messages()
-    before = [logger.appender(i) for i in range(logger.appender_count())]
-    logger.clear_appenders()
-    logger.add_appender(collected)
-    mi.set_log_level(mi.LogLevel.Warn)
-    yield collected.lines
-    logger.clear_appenders()
-    for appender in before:
-        logger.add_appender(appender)
-    mi.set_log_level(mi.LogLevel.Error)
-
-
 def bright(values):
     return {"type": "rgb", "value": values}
 

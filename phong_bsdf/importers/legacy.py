@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .. import images
+from ..needs import ANALYTIC, ROBUST
 from . import bsdfs, catalogue, plugins, textures, values, xmlfile
 from .context import Context
 from .paths import Files, check_output
@@ -165,6 +166,8 @@ def _settings(context: Context) -> None:
     if not any(node.tag == "integrator" for node in root.nodes):
         root.insert(0, root.like("integrator", type="direct"))
         context.journal.change(root.place, "no integrator", "now 'direct', as Mitsuba 0.6 chose it")
+    if not all(node.type in ANALYTIC for node in root.all() if node.tag == "shape"):
+        root.insert(0, root.like("boolean", name=ROBUST, value="true"))
     sensors = [node for node in root.all() if node.tag == "sensor"]
     if not sensors:
         why = "Mitsuba 0.6 would choose a camera, Mitsuba 3 does not; add a <sensor>"

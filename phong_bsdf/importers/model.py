@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import images
+from ..needs import ROBUST
 from ..vocabulary import VOCABULARIES
 from . import meshes, mtl, objfile, xmlfile
 from .legacy import VERSION
@@ -160,6 +161,7 @@ def _settings(scene: Node, vocabulary: str, glows: bool) -> None:
     scene.line = 0
     for name, value in (("spp", SPP), ("width", WIDTH), ("height", HEIGHT), ("max_depth", 10)):
         scene.add("default", name=name, value=str(value))
+    scene.add("boolean", name=ROBUST, value="true")
     integrator = scene.add("integrator", type="whitted")
     integrator.add("integer", name="max_depth", value="$max_depth")
     if vocabulary == "reflectances":
