@@ -1,7 +1,9 @@
 """The cosine-power lobes of Phong and Blinn-Phong: value, density, sampling, normalisation.
 
 Directions are in the local shading frame (n = +z), `wi` toward the viewer and `wo`
-toward the light, both above the surface; the caller masks everything else. With theta
+toward the light. The light is above the surface, and so is the viewer, but for the values
+of the lobes, which the course convention also asks for from below the horizon; the caller
+masks everything else. With theta
 the angle between the lobe's axis and the direction compared with it (r and v for Phong,
 n and h for Blinn-Phong), a lobe is cos(theta)^p.
 
@@ -54,14 +56,14 @@ def phong(wi, wo, p):
 
 
 def blinnphong(wi, wo, p):
-    """max(0, n.h)^p with h the bisector of wi and wo."""
-    return _cos_power(_blinnphong_tan2(wi, wo), p)
+    """max(0, n.h)^p with h the bisector of wi and wo; 1 wherever p = 0."""
+    return _value(*_blinnphong_angle(wi, wo), p)
 
 
 def either(is_phong, wi, wo, p):
     """`phong` where `is_phong`, else `blinnphong`; the same numbers for less than the price of both."""
-    tan2, cos = _phong_angle(wi, wo)
-    return _value(dr.select(is_phong, tan2, _blinnphong_tan2(wi, wo)), dr.select(is_phong, cos, 1), p)
+    (tan2_r, cos_r), (tan2_h, cos_h) = _phong_angle(wi, wo), _blinnphong_angle(wi, wo)
+    return _value(dr.select(is_phong, tan2_r, tan2_h), dr.select(is_phong, cos_r, cos_h), p)
 
 
 def reflected(lobe, factor, cos_theta_o, diffuse, specular):
@@ -111,7 +113,7 @@ def blinnphong_pdf(wi, wo, p):
     # Five factors in a row, each rounded, would be too many: each product keeps what its rounding took.
     scale = _product((rcp, 0.5 * short * rcp), INV_4_PI)
     scale, lost = _product(scale, _sum(p, 1))
-    lobe = _cos_power(_blinnphong_tan2(wi, wo), p)
+    lobe = _cos_power(_blinnphong_angle(wi, wo)[0], p)
     # The light that belongs to the mirror image of h across the normal is below the surface.
     twice = 2 * wi.z * (2 * z2 - length2) < wo.z * length2
     return dr.select(twice, 2, 1) * dr.fma(lobe, scale, lobe * lost)
@@ -187,8 +189,8 @@ def _phong_angle(wi, wo):
     return _squared_norm(v * inv_cos for v in (x, y, z)), cos
 
 
-def _blinnphong_tan2(wi, wo):
-    """tan(theta)^2 of the angle between the normal and the bisector of wi and wo."""
+def _blinnphong_angle(wi, wo):
+    """tan(theta)^2 and cos(theta), up to a positive factor, between the normal and the bisector of wi and wo."""
     # Directions are unit only up to rounding, so the bisector is wi |wo| + wo |wi|. Near opposite horizons its sums
     # would lose everything, so its part across the normal is split: with s the sines to the normal, one is
     # s_i |wo| - s_o |wi|, where lengths drop out, and the other that of azimuths that are not opposite.
@@ -197,7 +199,8 @@ def _blinnphong_tan2(wi, wo):
     s_i, s_o = (dr.sqrt(dr.maximum(s2, SHORTEST**2)) for s2 in (s2_i, s2_o))
     # |v| = (1 + |v|^2) / 2 for lengths of almost 1.
     length_i, length_o = dr.fma(0.5, s2_i + z2_i, 0.5), dr.fma(0.5, s2_o + z2_o, 0.5)
-    inv_z = 1 / dr.maximum(dr.fma(wi.z, length_o, wo.z * length_i), TINY)
+    cos = dr.fma(wi.z, length_o, wo.z * length_i)
+    inv_z = 1 / dr.maximum(cos, TINY)
     # s_i^2 |wo|^2 - s_o^2 |wi|^2 from sums and differences of the directions, which are exact where it is small.
     h, d = wi + wo, wi - wo
     squares = dr.fma(dr.fma(h.x, d.x, h.y * d.y), z2_i + z2_o, -h.z * d.z * (s2_i + s2_o))
@@ -208,7 +211,7 @@ def _blinnphong_tan2(wi, wo):
     opposite = dot < 0
     both = dr.maximum(sines - dot, SHORTEST**2)
     not_opposite = dr.select(opposite, cross, (sines + dot) * inv_z) * dr.select(opposite, cross / both, inv_z)
-    return dr.fma(unequal, unequal, 2 * length_i * length_o * not_opposite)
+    return dr.fma(unequal, unequal, 2 * length_i * length_o * not_opposite), cos
 
 
 def _imbalance(wi, wo, h):

@@ -129,8 +129,11 @@ class Materials:
             row += value
         return list(range(first, len(self.rows[0])))
 
-    def at(self, si, active):
-        """The constants of the material that was hit, for the other methods; None for what is 0 everywhere."""
+    def at(self, si, active, front=None):
+        """The constants of the material that was hit, for the other methods; None for what is 0 everywhere.
+
+        `front`: the lanes on which the surface is seen from the front (None: where `si.wi` is above it).
+        """
         first = dr.reinterpret_array(mi.UInt32, si.shape) * self.packets
         packets = [dr.gather(mi.Vector4f, self.table, first + i, active) for i in range(self.packets)]
         row = [number for packet in packets for number in packet]
@@ -143,6 +146,7 @@ class Materials:
 
         names = ("model", "diffuse", "specular", "exponent", "km", "scale")
         material = {name: read(getattr(self, name)) for name in names}
+        material["front"] = mi.Frame3f.cos_theta(si.wi) > 0 if front is None else front
         if self.varies:
             constants = {name: _kind(name)(material[name]) for name in sorted(self.varies)}
             calls = [self._look_up(textures) for textures in self.textures]
@@ -163,7 +167,7 @@ class Materials:
     def eval(self, material, si, wo, last, active):
         """Smooth lobes, f cos(theta_o) toward `wo`; on the lanes `last` (None: on none) without the mirror."""
         cos_theta_o = mi.Frame3f.cos_theta(wo)
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (cos_theta_o > 0)
+        active = active & material["front"] & (cos_theta_o > 0)
         lobe = factor = None
         if self.specular is not None:
             p = 0 if self.exponent is None else material["exponent"]
@@ -204,7 +208,7 @@ class Materials:
 
     def mirrors(self, material, si, active):
         """The mirrored ray: [(direction in world space, weight, lanes)]."""
-        weight = dr.select(active & (mi.Frame3f.cos_theta(si.wi) > 0), material["km"], 0)
+        weight = dr.select(active & material["front"], material["km"], 0)
         return [(si.to_world(mi.reflect(si.wi)), mi.Spectrum(weight), active)]
 
     def _under_mirror(self, material, last):

@@ -10,10 +10,11 @@ import drjit as dr
 import mitsuba as mi
 
 from .dispatch import Dispatch
+from .facing import Told, interpolates, is_front
 from .geometry import Geometry, Tight
 from .lights import Dark, Lights
 from .materials import Table, is_isotropic
-from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
+from .needs import DeltaLobes, UnsupportedScene, bsdfs_of, check_lights, delta_lobes, prepared, wake
 from .parameters import FAINT
 from .spawn import Seen, Surfaces
 
@@ -88,7 +89,7 @@ class Tracer:
         self._find_materials(memory, keep)
         # Scalar variants ask each BSDF when they meet it.
         self.follows = (self.deltas.branches > 0 or not self.jit) and self.most_rays > 1
-        self.fades = (self.deltas.fading or not self.jit) and self.course and not self.unlimited
+        self.fades = (self.deltas.fading or not self.jit) and self.course
 
     def _find_materials(self, memory, keep):
         """What surfaces are made of: a table where all BSDFs are the package's own, and which delta lobes there are."""
@@ -100,12 +101,21 @@ class Tracer:
             self.deltas = prepared(DeltaLobes(branches=int(mirror), fading=mirror), keep)
         else:
             self.deltas = delta_lobes(self.scene, keep)
-        self.materials = self.table or Dispatch(self.deltas)
+        self.materials = self.table or Dispatch(self.deltas, self._told())
+        self.sided = self.course and (interpolates(self.scene) if self.table else self.materials.told is not None)
         if self.gradients and self.deltas.branches > 1:
             raise UnsupportedScene(
                 "whitted: no derivatives where a surface both reflects and refracts (dielectric, thindielectric), or "
                 "has two mirrors (mask or mirrorblend over another); use a single mirror, or the integrator 'path'"
             )
+
+    def _told(self):
+        """What the course convention tells the BSDFs; None where it differs in nothing from what Mitsuba shows."""
+        if not self.course:
+            return None
+        told = Told(bsdfs_of(self.scene))
+        turned = told.any_perturbs or interpolates(self.scene)
+        return told if turned and not told.all_foreign else None
 
     def features(self) -> set[str]:
         """The features, of `needs.FEATURES`, that the kernel holds."""
@@ -261,14 +271,27 @@ class Tracer:
             si.sh_frame = mi.Frame3f(si.sh_frame.n)
             si.wi = si.to_local(-ray.d)
         shaded = hit & (depth < self.most_hits)
-        material = self.materials.at(si, shaded)
+        material = self.materials.at(si, shaded, is_front(si, -ray.d) if self.sided else None)
         tolerance = self.surfaces.tolerance(si, shaded)
-        light = light + beta * self._shade(si, material, tolerance, depth, shaded)
-        return light, seen, self._reflect(si, material, tolerance, beta, depth, shaded) if self.follows else []
+        branches = self._reflect(si, material, tolerance, beta, depth, shaded) if self.follows else []
+        last = self._ends(depth, shaded, branches) if self.fades else None
+        return light + beta * self._shade(si, material, tolerance, last, shaded), seen, branches
 
-    def _shade(self, si, material, tolerance, depth, active):
-        """Light from the lights and the ambient term, toward the viewer."""
-        last = active & (depth == self.most_hits - 1) if self.fades else None
+    def _ends(self, depth, active, branches):
+        """The lanes on which a chain of mirrors ends by a limit: the course takes the last mirror away."""
+        last = depth == self.most_hits - 1
+        if self.unlimited and branches:
+            # Nothing goes on, and something would, were it not too faint.
+            would, does = mi.Mask(False), mi.Mask(False)
+            for _, _, weight, goes_on in branches:
+                would = would | (dr.max(mi.unpolarized_spectrum(weight)) > 0)
+                does = does | goes_on
+            last = last | (would & (does == False))  # noqa: E712
+        return active & last
+
+    def _shade(self, si, material, tolerance, last, active):
+        """Light from the lights and the ambient term, toward the viewer; on the lanes `last` (None: on none) without
+        the mirror of a `mirrorblend`."""
         light = dr.zeros(mi.Spectrum, dr.width(si)) if self.jit else mi.Spectrum(0)
         if self.ambient is not None:
             reflectance = self.materials.diffuse_reflectance(material, si, last, active)

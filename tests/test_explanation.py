@@ -40,7 +40,7 @@ BARE = {"type": "phong", "ks": 0}
         ({"bsdfs": [BARE, {**BARE, "kd": 0.3}]}, {"materials"}),
         ({"bsdfs": [mirror(BARE)]}, {"mirrors", "last bounce"}),
         ({"bsdfs": [mirror(BARE)], "max_depth": 2}, set()),
-        ({"bsdfs": [mirror(BARE)], "max_depth": -1}, {"mirrors"}),
+        ({"bsdfs": [mirror(BARE)], "max_depth": -1}, {"mirrors", "last bounce"}),
         ({"bsdfs": [mirror(BARE, 0)]}, set()),
         ({"bsdfs": [{"type": "diffuse"}]}, {"bsdf calls", "materials", "highlights"}),
         ({"bsdfs": [GLASS]}, {"bsdf calls", "materials", "highlights", "mirrors", "branches"}),

@@ -128,13 +128,41 @@ def test_depth_counts_mirrors_as_path_does(max_depth):
     assert image[0, 0] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize(("km", "limit"), [(0.6, None), (1.0, 0.0)])
-def test_unlimited_depth_ends(km, limit):
-    """max_depth = -1: a chain that fades reaches its limit; between perfect mirrors it ends after 1000 bounces."""
-    image = render(scene({"max_depth": -1, "ambient": 1.0}, **corridor(km, 0.3, 0.8)))
-    if limit is None:
-        limit = (1 - km) * (0.3 + km * 0.8) / (1 - km * km)
-    assert image[0, 0] == pytest.approx(limit, abs=2e-6)
+def test_unlimited_depth_ends():
+    """max_depth = -1: a chain that fades reaches its limit."""
+    image = render(scene({"max_depth": -1, "ambient": 1.0}, **corridor(0.6, 0.3, 0.8)))
+    assert image[0, 0] == pytest.approx(0.4 * (0.3 + 0.6 * 0.8) / (1 - 0.36), abs=2e-6)
+
+
+@pytest.mark.parametrize("nested", (False, True))
+def test_unlimited_chains_end_like_others(nested):
+    """Between perfect mirrors a chain ends after 1000 bounces, as that of max_depth = 1002: the last surface shows its
+    local shade. `nested`: in a `twosided`, which no table describes."""
+    mirrors = corridor(1.0, 0.3, 0.8)
+    if nested:
+        for name in ("below", "above"):
+            mirrors[name] = {**mirrors[name], "bsdf": {"type": "twosided", "nested": mirrors[name]["bsdf"]}}
+    unlimited, limited = (render(scene({"max_depth": depth, "ambient": 1.0}, **mirrors)) for depth in (-1, 1002))
+    assert unlimited[0, 0] == pytest.approx(0.3, abs=2e-6) and np.array_equal(unlimited, limited)
+
+
+def test_unlimited_chains_end_when_they_are_faint():
+    """A mirror that is left out for its faintness shows its surface undiminished: k_m L_local is missing nowhere."""
+    km = 5e-7
+    image = render(scene({"max_depth": -1, "ambient": 1e6}, **corridor(km, 1.0, 0.9)))
+    # (1 - km) of 1e6 would be 0.5 less.
+    assert image[0, 0] == pytest.approx(1e6, abs=0.1)
+
+
+def test_backs_of_mirrors_are_no_ends():
+    """Seen from behind a mirror shows nothing, limit or not; ambient light is as much as with a limit."""
+    mirror = {"type": "mirrorblend", "km": 0.6, "nested": {"type": "phong", "kd": 0.5, "ks": 0}}
+    back = {**floor(mirror, y=-1), "flip_normals": True}
+    camera = look([0, 0, 0], [0, -1, 0], width=1, fov=1e-3)
+    unlimited, limited = (
+        render(scene({"max_depth": depth, "ambient": 1.0}, sensor=camera, back=back)) for depth in (-1, 10)
+    )
+    assert unlimited[0, 0] == pytest.approx(0.2, abs=1e-6) and np.array_equal(unlimited, limited)
 
 
 def test_perfect_mirrors_show_the_last_surface():

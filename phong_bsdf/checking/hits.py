@@ -51,6 +51,8 @@ class Bounce:
     """Unit shading normals, (n, 3)."""
     normal_length: np.ndarray
     """Of the vector from the centre of the sphere that was hit; 1 on other shapes."""
+    front: np.ndarray
+    """Whether the surface is seen from a side that it has: one of its normals, geometric or shading, faces the ray."""
     view: np.ndarray
     """Unit vectors back along the ray, (n, 3)."""
     distance: np.ndarray

@@ -3,6 +3,7 @@
 import mitsuba as mi
 
 from .. import lobes
+from ..facing import children
 from .hits import Material, Undiagnosable
 
 
@@ -12,7 +13,7 @@ class KnownSurface:
     def __init__(self, bsdf, name: str):
         self.two_sided, self.km = False, None
         while True:
-            nested = _children(bsdf)
+            nested = children(bsdf)
             if bsdf.class_name() == "TwoSidedBRDF" and len(nested) == 1:
                 self.two_sided, bsdf = True, nested[0]
             elif type(bsdf).__name__ == "MirrorBlend" and self.km is None:
@@ -49,14 +50,3 @@ def name_of(shape, bsdf, number: int) -> str:
         if name and not name.startswith(("_unnamed", "__")) and not name.endswith("]"):
             return name
     return f"{shape.class_name().lower()} {number}"
-
-
-def _children(bsdf) -> list:
-    found = []
-
-    class Callback(mi.TraversalCallback):
-        def put(self, name, value, *_):
-            found.extend([value] * isinstance(value, mi.BSDF))
-
-    bsdf.traverse(Callback())
-    return found

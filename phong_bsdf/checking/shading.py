@@ -73,7 +73,7 @@ def terms(hits: Hits, recipe: Recipe, most_hits: int, materials, shadows: bool =
         yield slice(None), -1, weight * background
         here = weight[bounce.ray]
         base, glossy, onward = _blend(recipe, bounce, depth == last)
-        front = (_dot(bounce.normal, bounce.view) > 0)[:, None]
+        front = bounce.front[:, None]
         yield bounce.ray, -1, here * base * hits.ambient * bounce.diffuse
         view = bounce.view * _view_length(recipe, bounce, hits)[:, None]
         for number, light in enumerate(bounce.lights):

@@ -9,8 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..facing import is_front
+from ..geometry import Geometry
 from ..lights import Lights
 from ..spawn import Surfaces
+from ..tracer import FAINTEST, MOST_BOUNCES
 from .hits import Bounce, Hits, Light, Undiagnosable
 from .known_surfaces import KnownSurface, name_of
 
@@ -27,7 +30,7 @@ class Stage:
         self.scene, self.integrator = scene, scene.integrator()
         if self.integrator.depth == 1:
             raise Undiagnosable("with max_depth = 1 nothing is shaded")
-        self.lights, self.surfaces = Lights(scene), Surfaces(scene)
+        self.lights, self.surfaces, self.geometry = Lights(scene), Surfaces(scene), Geometry(scene)
         self.background = scene.environment()
         self.directions = [np.array(d, float) for d in directions]
         found = {}
@@ -44,8 +47,7 @@ class Stage:
     @property
     def most_hits(self) -> int:
         """How many surfaces of a path are shaded."""
-        # A path that never ends has faded long before.
-        return self.integrator.depth - 1 if self.integrator.depth > 0 else 64
+        return self.integrator.depth - 1 if self.integrator.depth > 0 else MOST_BOUNCES + 1
 
     def trace(self, sensor, positions: np.ndarray, raw_mirrors: bool = False) -> Hits:
         """Trace camera rays through `positions`, (count, 2) in pixels from the top left of the picture.
@@ -54,6 +56,7 @@ class Stage:
         """
         ray, eye, lengths = self._camera_rays(sensor, positions)
         index, bounces, backgrounds = np.arange(len(positions)), [], []
+        throughput = np.ones(len(positions))
         for depth in range(self.most_hits):
             bounce, background, ray = self._bounce(ray, eye, index, depth, raw_mirrors)
             eye = ray.o
@@ -61,8 +64,9 @@ class Stage:
             seen[index] = background
             backgrounds.append(seen)
             bounces.append(bounce)
+            throughput[bounce.ray] *= bounce.km.max(axis=-1)
             index = bounce.ray[mirroring(bounce)]
-            if len(index) == 0:
+            if len(index) == 0 or throughput[index].max() < FAINTEST:
                 break
         ambient = self.integrator.ambient
         colour = (
@@ -90,7 +94,7 @@ class Stage:
     def _bounce(self, ray, eye, index, depth, raw_mirrors):
         """The hits of `ray`, what the rest of them sees, and the mirrored rays."""
         n = len(index)
-        si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=depth == 0, active=True)
+        si = self.geometry.hit(ray, depth == 0, True)
         valid = si.is_valid() & dr.full(mi.Bool, True, n)
         background = np.zeros((n, 3))
         if self.background is not None and not (depth == 0 and self.integrator.hide_emitters):
@@ -101,13 +105,15 @@ class Stage:
         dr.eval(si, tolerance, valid)
 
         hit = np.array(valid)
-        columns, flips = self._surface_columns(si, valid, n)
+        columns, two_sided = self._surface_columns(si, valid, n)
         radius = self._radius(si)
-        # A surface with two sides turns its normal to the viewer.
-        facing = mi.Vector3f(si.sh_frame.n) * dr.select(mi.Bool(flips) & (si.wi.z < 0), -1, 1)
+        front = is_front(si, -ray.d)
+        # A surface with two sides that is seen from behind turns its normal to the viewer.
+        facing = mi.Vector3f(si.sh_frame.n) * dr.select(mi.Bool(two_sided) & ~front, -1, 1)
         lights = tuple(self._light(i, si, tolerance, valid, hit) for i in range(self.lights.count))
         bounce = Bounce(
             ray=index[hit], normal=_unit(_array(facing, n)[hit]), normal_length=_array(radius, n)[hit, 0],
+            front=(np.array(front) | two_sided)[hit],
             view=_unit(_array(-ray.d, n)[hit]), distance=_array(dr.norm(si.p - eye), n)[hit, 0],
             lights=lights,
             **{name: column[hit] for name, column in columns.items()},
@@ -139,7 +145,7 @@ class Stage:
         """The materials' constants at each lane, and whether the surface has two sides."""
         names = {"material": 1, "diffuse": 3, "specular": 3, "cosine": 1, "exponent": 1, "km": 3}
         columns: dict[str, np.ndarray] = {name: np.zeros((n, channels)) for name, channels in names.items()}
-        flips = np.zeros(n, bool)
+        two_sided = np.zeros(n, bool)
         bsdf = si.bsdf()
         for number, (pointer, surface) in enumerate(self.surfaces_of):
             here = np.array(valid & (bsdf == pointer) & dr.full(mi.Bool, True, n))
@@ -148,18 +154,18 @@ class Stage:
             values = surface.evaluate(si, mi.Bool(here))
             for name, value in {**values, "material": mi.Float(number)}.items():
                 columns[name][here] = _array(value, n)[here]
-            flips[here] = surface.two_sided
+            two_sided[here] = surface.two_sided
         for name in ("material", "cosine", "exponent"):
             columns[name] = columns[name][:, 0]
         columns["material"], columns["cosine"] = columns["material"].astype(int), columns["cosine"] > 0
-        return columns, flips
+        return columns, two_sided
 
     def _light(self, i, si, tolerance, valid, hit) -> Light:
         n = len(hit)
         direction, distance, intensity, has = self.lights.sample(i if self.lights.few else mi.UInt32(i), si, valid)
         shadow = self.surfaces.shadow_ray(si, direction, distance, tolerance)
         past = self.surfaces.shadow_ray(si, direction, dr.inf, tolerance)
-        blocked = [self.scene.ray_test(ray, coherent=False, active=has) for ray in (shadow, past)]
+        blocked = [self.geometry.blocked(ray, has) for ray in (shadow, past)]
         blocked.append(self._blocked_by_others(shadow, si.shape, has))
         dr.eval(direction, distance, intensity, has, blocked)
         visible = [_array(mi.Float(has & (b == False)), n)[hit, 0] > 0 for b in blocked]  # noqa: E712
@@ -181,7 +187,7 @@ class Stage:
         """Whether a shadow ray meets another shape than the one that it starts on."""
         blocked, reached = mi.Bool(False), mi.Float(0)
         for _ in range(OWN_HITS):
-            si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=False, active=active)
+            si = self.geometry.hit(ray, False, active)
             met = active & si.is_valid()
             blocked = blocked | (met & (si.shape != own))
             active = met & (si.shape == own)
@@ -208,4 +214,4 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def mirroring(bounce: Bounce) -> np.ndarray:
     """Whether a mirrored ray goes on from each hit, (n,)."""
-    return (bounce.km.max(axis=-1) > 0) & (np.einsum("ij,ij->i", bounce.normal, bounce.view) > 0)
+    return (bounce.km.max(axis=-1) > 0) & bounce.front

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf import energy, lobes
+from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS, Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
 from phong_bsdf.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
@@ -159,7 +160,7 @@ class LobeBSDF(mi.BSDF):
         if value and (diffuse or glossy):
             kd = self.diffuse.value(si, active) if diffuse else None
             ks = self.specular.value(si, active) if glossy else None
-            lobe = self.lobe.value(si.wi, wo, p) if glossy else None
+            lobe = self.lobe.value(toward_viewer(ctx, si), wo, p) if glossy else None
             factor = None
             if self.reflectances and glossy:
                 factor = lobes.reflectance_factor(self.lobe.normalization(p), cos_theta_o)

@@ -5,11 +5,10 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
+from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS
-from phong_bsdf.needs import MIRRORLESS
+from phong_bsdf.needs import ALL_COMPONENTS, MIRRORLESS
 from phong_bsdf.parameters import FAINT, Parameter
-
-ALL_COMPONENTS = 0xFFFFFFFF  # BSDFContext.component's default
 
 
 class MirrorBlend(mi.BSDF):
@@ -95,7 +94,7 @@ class MirrorBlend(mi.BSDF):
         facing = active & ((cos_theta_i != 0) if self.both_sides else (cos_theta_i > 0))
         share = self._share(km) if nested_ctx else mi.Float(1)
         bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo = mi.reflect(si.wi)
+        bs.wo = mi.reflect(toward_viewer(ctx, si))
         bs.eta = 1
         bs.pdf = dr.select(facing, share, 0)
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DeltaReflection))
