@@ -21,6 +21,7 @@ MIRRORLESS = 1 << 30
 # Emitters that `whitted` serves: plugin -> class.
 LIGHTS = {"point": "PointLight", "spot": "SpotLight", "projector": "Projector", "directional": "DirectionalEmitter"}
 BACKGROUNDS = {"constant": "ConstantBackgroundEmitter", "envmap": "EnvironmentMapEmitter"}
+PLUGIN_OF = {name: plugin for plugin, name in {**LIGHTS, **BACKGROUNDS}.items()}
 
 # What a kernel holds only where the scene needs it, and what it lacks where not; `keep` of the functions below names
 # what it holds all the same.
@@ -41,6 +42,13 @@ FEATURES = {
 
 # Where a feature means nothing without another.
 REQUIRED = {"transparency": ("bsdf calls",), "branches": ("mirrors",), "last bounce": ("mirrors",)}
+
+# Lengths of axes, as shares of the longest, that count as alike: exporters write six digits, and no pixel shows more.
+UNLIKE = 1e-4
+
+# Remedies for what Mitsuba or `whitted` would leave out.
+ELLIPSOIDS = "use the shape 'ellipsoids' with its 'extent' = 1, or a mesh"
+VOLPATH = "use the integrator 'volpath', or take the medium out"
 
 
 class UnsupportedScene(ValueError):
@@ -73,6 +81,41 @@ def check_lights(scene) -> None:
     for emitter in scene.emitters():
         if not is_delta(emitter) and emitter.class_name() not in BACKGROUNDS.values():
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
+
+
+def left_out(scene) -> str | None:
+    """What of a loaded scene no picture of `whitted` shows, in one sentence; None where all is shown.
+
+    It reads the transforms of spheres: not for functions that are recorded.
+    """
+    shapes = scene.shapes()
+    # The shapes inside of instances are not listed, but have parameters.
+    nodes = [node for _, _, node, _ in mi.traverse(scene).properties.values()] if has_instances(scene) else []
+    hidden = {node.ptr: node for node in nodes if isinstance(node, mi.Shape)}
+    spheres = [s for s in (hidden.values() or shapes) if s.class_name() == "Sphere"]
+    round_ones = [s.id() or "sphere" for s in spheres if stretched(axes(_matrix(s)))]
+    media = [s.id() or s.class_name() for s in shapes if s.interior_medium() or s.exterior_medium()]
+    media += [s.id() or s.class_name() for s in scene.sensors() if s.get_medium()]
+    said = []
+    if round_ones:
+        said.append(f"Mitsuba draws {_listed('sphere', round_ones)} round, though stretched; {ELLIPSOIDS}")
+    if media:
+        said.append(f"the medium of {_listed('', media)} is not rendered; {VOLPATH}")
+    return "whitted: " + ". ".join(said) if said else None
+
+
+def axes(matrix) -> list[float]:
+    """The lengths, longest first, of the axes of the ellipsoid that the 3 x 3 `matrix` makes of a unit sphere."""
+    # Late: only scenes with spheres need it.
+    import numpy as np
+
+    matrix = np.asarray(matrix, np.float64)
+    return [float(x) for x in np.linalg.svd(matrix, compute_uv=False)] if np.all(np.isfinite(matrix)) else [np.nan] * 3
+
+
+def stretched(lengths) -> bool:
+    """Whether the `axes` are not all of one length."""
+    return lengths[0] - lengths[2] > UNLIKE * lengths[0]
 
 
 def delta_lobes(scene, keep=frozenset()) -> DeltaLobes:
@@ -172,3 +215,16 @@ def _branches(components: list[int]) -> int:
     sides = (int(mi.BSDFFlags.FrontSide), int(mi.BSDFFlags.BackSide))
     deltas = [f for f in components if f & (DELTA | NULL)]
     return max(sum(bool(f & side or not f & sum(sides)) for f in deltas) for side in sides)
+
+
+def _matrix(shape):
+    """The 3 x 3 part of `to_world`, as NumPy array."""
+    import numpy as np
+
+    matrix = np.array(dr.detach(mi.traverse(shape)["to_world"].matrix), np.float64)
+    return matrix.reshape(4, 4, -1)[:3, :3, 0]
+
+
+def _listed(kind: str, names: list[str], most: int = 3) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{kind} ".lstrip() + ", ".join(f"'{name}'" for name in names[:most]) + more

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .dispatch import Dispatch
-from .lights import Dark, Lights
+from .lights import Dark, Finite, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, check_lights, delta_lobes, prepared, wake
 from .parameters import FAINT
@@ -32,6 +32,7 @@ class Memory:
 
     table: Table = field(default_factory=Table)
     dark: Dark = field(default_factory=Dark)
+    finite: Finite = field(default_factory=Finite)
     seen: Seen = field(default_factory=Seen)
 
 
@@ -61,6 +62,7 @@ class Tracer:
             # A tree of rays has no backward derivative; only a scene that needs one is to fail.
             keep = keep - {"branches"}
         check_lights(scene)
+        memory.finite.check(scene.emitters())
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
         self.surfaces = Surfaces(scene, memory.seen)
         self.background = scene.environment()
