@@ -175,7 +175,9 @@ def _positional(emitter) -> bool:
 
 
 def _check_finite(emitter, key: str, value) -> None:
-    numbers = np.array(dr.detach(getattr(value, "matrix", value)), np.float64).ravel()
+    # Any name is a swizzle of an array.
+    array = value if dr.is_array_v(value) or isinstance(value, float) else value.matrix
+    numbers = np.array(dr.detach(array), np.float64).ravel()
     # The coefficients of a spectrum that is black, or white, can be infinite.
     bad = numbers[np.isnan(numbers) if mi.is_spectral and key.endswith(".value") else ~np.isfinite(numbers)]
     if len(bad):
