@@ -88,13 +88,14 @@ def left_out(scene) -> str | None:
 
     It reads the transforms of spheres: not for functions that are recorded.
     """
-    shapes = scene.shapes()
-    # The shapes inside of instances are not listed, but have parameters.
-    nodes = [node for _, _, node, _ in mi.traverse(scene).properties.values()] if has_instances(scene) else []
-    hidden = {node.ptr: node for node in nodes if isinstance(node, mi.Shape)}
-    spheres = [s for s in (hidden.values() or shapes) if s.class_name() == "Sphere"]
+    shapes = {shape.ptr: shape for shape in scene.shapes()}
+    if has_instances(scene):
+        # The shapes inside of them are not listed, but have parameters.
+        nodes = [node for _, _, node, _ in mi.traverse(scene).properties.values()]
+        shapes.update((node.ptr, node) for node in nodes if isinstance(node, mi.Shape))
+    spheres = [s for s in shapes.values() if s.class_name() == "Sphere"]
     round_ones = [s.id() or "sphere" for s in spheres if stretched(axes(_matrix(s)))]
-    media = [s.id() or s.class_name() for s in shapes if s.interior_medium() or s.exterior_medium()]
+    media = [s.id() or s.class_name() for s in shapes.values() if s.interior_medium() or s.exterior_medium()]
     media += [s.id() or s.class_name() for s in scene.sensors() if s.get_medium()]
     said = []
     if round_ones:

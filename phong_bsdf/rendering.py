@@ -122,7 +122,7 @@ def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None 
     check(path, state)
     ignored = soundness.ignored(state)
     if ignored:
-        mi.Log(mi.LogLevel.Warn, f"{path}: {ignored}")
+        mi.Log(mi.LogLevel.Warn, f"{path}: {ignored}")  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     scene = make(path, state)
     if not isinstance(scene, mi.Scene):
         raise SceneError(f"{path}: the file describes no <scene>")

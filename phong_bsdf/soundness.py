@@ -175,7 +175,7 @@ def _numbers(props, name: str) -> list[float]:
         return [value]
     if kind in (Type.Vector, Type.Color):
         return [float(x) for x in value]
-    if kind == Type.Spectrum:
+    if kind == Type.Spectrum:  # pyright: ignore[reportAttributeAccessIssue]  (not in Mitsuba's stubs)
         return [*value.values, *value.wavelengths]
     if kind == Type.Transform:
         return [float(x) for x in np.array(value.matrix, np.float64).ravel()]

@@ -327,10 +327,9 @@ def test_each_old_word(convert, name):
 
 def test_stretched_spheres(convert):
     """As Mitsuba 0.6 drew them: round, by the scale of the x axis; the list says so, and the new scene loads."""
-    result, text, scene = convert(
+    result, _, scene = convert(
         '<shape type="sphere"><point name="center" x="1" y="0" z="0"/><float name="radius" value="3"/>'
-        '<transform name="toWorld"><scale x="0.5" y="2"/><rotate x="1" y="1" angle="90"/></transform></shape>'
-        + SENSOR
+        '<transform name="toWorld"><scale x="0.5" y="2"/><rotate x="1" y="1" angle="90"/></transform></shape>' + SENSOR
     )
     assert [loss.what for loss in result.losses] == ["'sphere' that is stretched to axes of 2, 1, 0.5"]
     assert "as Mitsuba 0.6 drew it" in result.losses[0].why

@@ -100,6 +100,13 @@ def test_a_sphere_that_stays_one_is_not(load, transform):
     load(shape("sphere", transform))
 
 
+def test_every_variant_refuses(load, any_variant):
+    """What is wrong does not depend on how it is rendered."""
+    for elements in (shape("sphere", SHEAR), NUMBERS["intensity of a spectrum"].format("nan"), shape("cube", "", FOG)):
+        with pytest.raises(rendering.SceneError, match=", line 10: "):
+            load(elements)
+
+
 def test_spheres_in_groups_are_looked_at(refusal):
     """A stretched sphere inside of a group is as round as any."""
     refusal(f'<shape type="shapegroup">{shape("sphere", SHEAR)}</shape>')
@@ -295,7 +302,8 @@ def test_a_medium_that_fills_nothing_is_no_loss(load):
 def test_integrators_inside_of_others_are_found(refusal):
     """Under `aov` it is still `whitted` that leaves the medium out."""
     inner = '<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="whitted"/></integrator>'
-    text = SCENE.replace('<integrator type="$integrator"/>', inner).replace('    <default name="integrator" value="whitted"/>', "")
+    text = SCENE.replace('<integrator type="$integrator"/>', inner)
+    text = text.replace('<default name="integrator" value="whitted"/>', "")
     config = mi.parser.ParserConfig(str(mi.variant()))
     state = mi.parser.parse_string(config, text.format(shape("sphere", "", FOG)))
     mi.parser.transform_all(config, state)
@@ -376,7 +384,8 @@ def test_whitted_warns_once_of_a_stretched_sphere(any_variant, inside):
     """Once for each scene, whatever is rendered of it; in every variant, inside of groups too."""
     ball = {"ball": stretched()}
     if inside == "group":
-        ball = {"group": {"type": "shapegroup", **ball}, "one": {"type": "instance", "g": {"type": "ref", "id": "group"}}}
+        one = {"type": "instance", "group": {"type": "ref", "id": "group"}}
+        ball = {"group": {"type": "shapegroup", **ball}, "one": one}
     scenes = [mi.load_dict(scene_of(**ball)) for _ in range(2)]
     with messages() as said:
         for scene in scenes:
@@ -396,6 +405,16 @@ def test_whitted_warns_once_of_media():
             mi.render(scene)
     assert len([text for text in said if "the medium of" in text]) == 1
     assert any("'ball', 'sensor' is not rendered" in text and needs.VOLPATH in text for text in said)
+
+
+def test_whitted_warns_of_media_in_groups():
+    """What instances hold is not listed by the scene, and is looked at all the same."""
+    ball = {"type": "sphere", "id": "ball", "interior": {"type": "homogeneous"}}
+    one = {"type": "instance", "group": {"type": "ref", "id": "group"}}
+    scene = mi.load_dict(scene_of(group={"type": "shapegroup", "ball": ball}, one=one))
+    with messages() as said:
+        mi.render(scene)
+    assert len([text for text in said if "the medium of 'ball'" in text]) == 1
 
 
 def test_nothing_is_said_of_other_scenes():

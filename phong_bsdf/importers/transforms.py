@@ -39,7 +39,9 @@ def unit_axis(node: Node, context: Context) -> None:
 def round_sphere(node: Node, context: Context) -> None:
     """Mitsuba 0.6 drew a stretched sphere round, as large as the transform makes its x axis: so it is written."""
     transform = node.find_named("to_world")
-    whole = matrix(transform, context) if transform is not None else None
+    if transform is None:
+        return
+    whole = matrix(transform, context)
     if whole is None or not needs.stretched(needs.axes(whole[:3, :3])):
         return
     try:

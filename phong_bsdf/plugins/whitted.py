@@ -54,7 +54,8 @@ class Whitted(Base):
     (physical). `constant` and `envmap` emitters are a background: rays that leave the
     scene see them, they light nothing. Delta lobes of native BSDFs (`conductor`, `plastic`,
     `dielectric`, `thindielectric`, `mask`) are followed, all branches of them. Shadow rays
-    stop at any surface. Area lights are an error.
+    stop at any surface. Area lights are an error, as are lights that are not finite. Media are left out, and Mitsuba
+    draws stretched spheres round: of both there is one warning for each scene.
 
     Source: Whitted, "An improved illumination model for shaded display", 1980.
 
