@@ -328,14 +328,14 @@ def test_each_old_word(convert, name):
 def test_stretched_spheres(convert):
     """As Mitsuba 0.6 drew them: round, by the scale of the x axis; the list says so, and the new scene loads."""
     result, _, scene = convert(
-        '<shape type="sphere"><point name="center" x="1" y="0" z="0"/><float name="radius" value="3"/>'
+        '<shape type="sphere"><point name="center" x="1" y="1" z="0"/><float name="radius" value="3"/>'
         '<transform name="toWorld"><scale x="0.5" y="2"/><rotate x="1" y="1" angle="90"/></transform></shape>' + SENSOR
     )
     assert [loss.what for loss in result.losses] == ["'sphere' that is stretched to axes of 2, 1, 0.5"]
     assert "as Mitsuba 0.6 drew it" in result.losses[0].why
     box = scene.shapes()[0].bbox()
-    # Half a unit along x, turned by 90 degrees about the diagonal of x and y.
-    assert np.array(box.center()) == pytest.approx([0.25, 0.25, -0.25 * math.sqrt(2)], abs=1e-6)
+    # (0.5, 2, 0), turned by 90 degrees about the diagonal of x and y: the center stays where it was.
+    assert np.array(box.center()) == pytest.approx([1.25, 1.25, 0.75 * math.sqrt(2)], abs=1e-6)
     assert np.array(box.extents()) == pytest.approx([3, 3, 3], rel=1e-6)
     assert bool(rendering.load(result.output))
 

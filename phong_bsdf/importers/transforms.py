@@ -30,7 +30,7 @@ def unit_axis(node: Node, context: Context) -> None:
     except ValueError:
         return
     length = math.hypot(*axis)
-    if length > 0 and abs(length - 1) > 1e-6:
+    if 0 < length < math.inf and abs(length - 1) > 1e-6:
         for name, x in zip(AXES, axis, strict=True):
             node.set(name, f"{x / length:.9g}")
         context.journal.change(node.place, f"<rotate> about an axis of length {length:.4g}", "now a unit vector")
