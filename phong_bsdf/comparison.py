@@ -108,6 +108,7 @@ def plan(
             raise ValueError(f"compare: '{plugin}' cannot be matched, only {', '.join(matching.TARGETS)}; "
                              f"give other BSDFs with all their parameters: --bsdf id={plugin},name=value")  # fmt: skip
     state = rendering.parse(path, defines, merge=False)
+    rendering.check(path, state)
     found = {surface.name: surface for surface in surfaces.find(state, lambda root: rendering.make(path, root))}
     if not found:
         raise ValueError(f"{path}: the scene has no phong or blinnphong BSDF to compare")

@@ -9,8 +9,9 @@ import operator
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from .needs import LIGHTS, is_delta
+from .needs import LIGHTS, UnsupportedScene, is_delta
 from .parameters import Watch, channels
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
@@ -44,6 +45,37 @@ class Dark:
             self.emitters, self.watch = emitters, Watch([array for arrays in constants.values() for array in arrays])
             self.dark = {i for i, arrays in constants.items() if arrays and not any(map(_shines, arrays))}
         return self.dark
+
+
+class Finite:
+    """Refuses lights and backgrounds that are not finite: what they light would be black, without a word."""
+
+    def __init__(self):
+        self.emitters, self.watch = [], None
+
+    def check(self, emitters) -> None:
+        """Raises `UnsupportedScene` for a NaN or infinity among what `emitters` are made of, images aside.
+
+        Transforms are looked at once; positions and intensities also after each change.
+        """
+        # A function that is recorded cannot look.
+        if dr.flag(dr.JitFlag.FreezingScope):
+            return
+        same = len(emitters) == len(self.emitters) and all(map(operator.is_, emitters, self.emitters))
+        if same and self.watch and not self.watch.changed():
+            return
+        watched = []
+        for emitter in emitters:
+            params = mi.traverse(emitter)
+            for key in params.keys():  # noqa: SIM118
+                value = params[key]
+                if dr.is_tensor_v(value) or (same and not dr.is_array_v(value)):
+                    continue
+                _check_finite(emitter, key, value)
+                watched += [value] * dr.is_jit_v(value)
+        self.emitters = emitters
+        # Scalar variants hold numbers, which cannot be watched.
+        self.watch = Watch([value for value in watched if dr.is_array_v(value)]) if dr.is_jit_v(mi.Float) else None
 
 
 class Lights:
@@ -140,6 +172,17 @@ class Lights:
 
 def _positional(emitter) -> bool:
     return mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
+
+
+def _check_finite(emitter, key: str, value) -> None:
+    # Any name is a swizzle of an array.
+    array = value if dr.is_array_v(value) or isinstance(value, float) else value.matrix
+    numbers = np.array(dr.detach(array), np.float64).ravel()
+    # The coefficients of a spectrum that is black, or white, can be infinite.
+    bad = numbers[np.isnan(numbers) if mi.is_spectral and key.endswith(".value") else ~np.isfinite(numbers)]
+    if len(bad):
+        name, parameter = emitter.id() or emitter.class_name(), key.split(".")[0]
+        raise UnsupportedScene(f"whitted: '{parameter}' of the light '{name}' must be finite, got {bad[0]:g}")
 
 
 def _shines(intensity) -> bool:

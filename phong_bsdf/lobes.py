@@ -31,6 +31,9 @@ TINY = 1e-15
 # float32 directions can be.
 SHORTEST = 1e-9
 
+# A unit of length in which no power of 1 / |wi + wo| overflows, nor a derivative; a power of two rounds nothing.
+UNIT = 2.0**-15
+
 # log(xi) stays finite at xi = 0; float32's smallest normal number is 1.2e-38.
 SMALLEST_XI = 1.2e-38
 
@@ -96,9 +99,9 @@ def phong_pdf(wi, wo, p):
 
 def blinnphong_pdf(wi, wo, p):
     """Density per solid angle of `sample_blinnphong`: (p + 1) / (2 pi) (n.h)^p / (4 wo.h), or twice that."""
-    # For unit wi and wo, 2 wo.h = |h| with h = wi + wo.
-    h, h_lost = _sum(wi, wo)
-    z = dr.maximum(h.z, SHORTEST)
+    # For unit wi and wo, 2 wo.h = |h| with h = wi + wo, here in multiples of UNIT.
+    h, h_lost = _sum(wi / UNIT, wo / UNIT)
+    z = dr.maximum(h.z, SHORTEST / UNIT)
     y2, z2 = dr.square(h.y), dr.square(z)
     length2, lost = _sum(z2, dr.fma(h.x, h.x, y2))
     rcp = dr.rsqrt(length2)
@@ -108,9 +111,10 @@ def blinnphong_pdf(wi, wo, p):
     length = length2 * rcp
     short = dr.detach(dr.fma(-length, rcp, 1) - dr.fma(length2, rcp, -length) * rcp - lost * dr.square(rcp))
     # The product of the lengths of wi and wo, unit only up to rounding, is 1 - excess.
-    excess = longer + dr.fma(-wi.x, wi.x, dr.fma(-wi.y, wi.y, dr.fma(-wi.z, wi.z, 1)))
+    excess = longer * UNIT + dr.fma(-wi.x, wi.x, dr.fma(-wi.y, wi.y, dr.fma(-wi.z, wi.z, 1)))
     short -= excess
     # Five factors in a row, each rounded, would be too many: each product keeps what its rounding took.
+    rcp = rcp / UNIT
     scale = _product((rcp, 0.5 * short * rcp), INV_4_PI)
     scale, lost = _product(scale, _sum(p, 1))
     lobe = _cos_power(_blinnphong_angle(wi, wo)[0], p)
@@ -129,6 +133,8 @@ def sample_phong(wi, p, xi):
     axis = type(wi)(-wi.x, -wi.y, 1 + wi.z)
     wo = _mirror(v, axis)
     wo = dr.select(wo.z < 0, _mirror(_across(v, wi), axis), wo)
+    # Near the normal, and by a rounding, it can still be below, by 1e-9.
+    wo.z = dr.abs(wo.z)
     return dr.select(p == 0, v, wo)
 
 
@@ -244,7 +250,9 @@ def _mirror(v, axis):
 
 def _across(v, wi):
     """`v` mirrored in the plane through the normal that is perpendicular to the plane of incidence of `wi`."""
-    scale = 2 * dr.fma(v.x, wi.x, v.y * wi.y) / dr.maximum(dr.fma(wi.x, wi.x, dr.square(wi.y)), TINY)
+    # Along the normal there is no such plane, and no need of one: there `v` stays.
+    across = dr.fma(wi.x, wi.x, dr.square(wi.y))
+    scale = 2 * dr.fma(v.x, wi.x, v.y * wi.y) / dr.select(across > SHORTEST**2, across, math.inf)
     return type(v)(dr.fma(-scale, wi.x, v.x), dr.fma(-scale, wi.y, v.y), v.z)
 
 

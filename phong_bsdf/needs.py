@@ -27,6 +27,7 @@ ALL_COMPONENTS = 0xFFFFFFFF
 # Emitters that `whitted` serves: plugin -> class.
 LIGHTS = {"point": "PointLight", "spot": "SpotLight", "projector": "Projector", "directional": "DirectionalEmitter"}
 BACKGROUNDS = {"constant": "ConstantBackgroundEmitter", "envmap": "EnvironmentMapEmitter"}
+PLUGIN_OF = {name: plugin for plugin, name in {**LIGHTS, **BACKGROUNDS}.items()}
 
 # Shapes without triangles. A scene of others needs the flag, or rays slip between the triangles of its meshes.
 ANALYTIC = ("sphere", "rectangle", "disk", "cylinder")
@@ -51,6 +52,13 @@ FEATURES = {
 
 # Where a feature means nothing without another.
 REQUIRED = {"transparency": ("bsdf calls",), "branches": ("mirrors",), "last bounce": ("mirrors",)}
+
+# Lengths of axes, as shares of the longest, that count as alike: exporters write six digits, and no pixel shows more.
+UNLIKE = 1e-4
+
+# Remedies for what Mitsuba or `whitted` would leave out.
+ELLIPSOIDS = "use the shape 'ellipsoids' with its 'extent' = 1, or a mesh"
+VOLPATH = "use the integrator 'volpath', or take the medium out"
 
 
 class UnsupportedScene(ValueError):
@@ -83,6 +91,42 @@ def check_lights(scene) -> None:
     for emitter in scene.emitters():
         if not is_delta(emitter) and emitter.class_name() not in BACKGROUNDS.values():
             raise UnsupportedScene(refusal(emitter.id() or emitter.class_name()))
+
+
+def left_out(scene) -> str | None:
+    """What of a loaded scene no picture of `whitted` shows, in one sentence; None where all is shown.
+
+    It reads the transforms of spheres: not for functions that are recorded.
+    """
+    shapes = {shape.ptr: shape for shape in scene.shapes()}
+    if has_instances(scene):
+        # The shapes inside of them are not listed, but have parameters.
+        nodes = [node for _, _, node, _ in mi.traverse(scene).properties.values()]
+        shapes.update((node.ptr, node) for node in nodes if isinstance(node, mi.Shape))
+    spheres = [s for s in shapes.values() if s.class_name() == "Sphere"]
+    round_ones = [s.id() or "sphere" for s in spheres if stretched(axes(_matrix(s)))]
+    media = [s.id() or s.class_name() for s in shapes.values() if s.interior_medium() or s.exterior_medium()]
+    media += [s.id() or s.class_name() for s in scene.sensors() if s.get_medium()]
+    said = []
+    if round_ones:
+        said.append(f"Mitsuba draws {_listed('sphere', round_ones)} round, though stretched; {ELLIPSOIDS}")
+    if media:
+        said.append(f"the medium of {_listed('', media)} is not rendered; {VOLPATH}")
+    return "whitted: " + ". ".join(said) if said else None
+
+
+def axes(matrix) -> list[float]:
+    """The lengths, longest first, of the axes of the ellipsoid that the 3 x 3 `matrix` makes of a unit sphere."""
+    # Late: only scenes with spheres need it.
+    import numpy as np
+
+    matrix = np.asarray(matrix, np.float64)
+    return [float(x) for x in np.linalg.svd(matrix, compute_uv=False)] if np.all(np.isfinite(matrix)) else [np.nan] * 3
+
+
+def stretched(lengths) -> bool:
+    """Whether the `axes` are not all of one length."""
+    return lengths[0] - lengths[2] > UNLIKE * lengths[0]
 
 
 def delta_lobes(scene, keep=frozenset()) -> DeltaLobes:
@@ -182,3 +226,16 @@ def _branches(components: list[int]) -> int:
     sides = (int(mi.BSDFFlags.FrontSide), int(mi.BSDFFlags.BackSide))
     deltas = [f for f in components if f & (DELTA | NULL)]
     return max(sum(bool(f & side or not f & sum(sides)) for f in deltas) for side in sides)
+
+
+def _matrix(shape):
+    """The 3 x 3 part of `to_world`, as NumPy array."""
+    import numpy as np
+
+    matrix = np.array(dr.detach(mi.traverse(shape)["to_world"].matrix), np.float64)
+    return matrix.reshape(4, 4, -1)[:3, :3, 0]
+
+
+def _listed(kind: str, names: list[str], most: int = 3) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{kind} ".lstrip() + ", ".join(f"'{name}'" for name in names[:most]) + more

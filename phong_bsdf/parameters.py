@@ -142,10 +142,16 @@ class Parameter:
         # It may be 0: what is differentiated is not looked at.
         return value + FAINT if self.differentiated else value
 
+    def mean(self, si, active):
+        """The mean of `value` over the channels, for probabilities: no sum or product with it overflows."""
+        value = mean(self.value(si, active))
+        # A constant that is differentiated is not looked at.
+        return dr.minimum(value, LARGEST) if self.differentiated else value
+
     def value_1(self, si, active):
         """The value at `si` as one number: the mean over the channels; textures clamped to the legal range."""
         if self._three_channels:
-            return self._clamp(dr.mean(self.texture.eval_3(si, active)))
+            return self._clamp(mean(self.texture.eval_3(si, active)))
         return self._clamp(self.texture.eval_1(si, active))
 
     def _clamp(self, value):
@@ -196,6 +202,11 @@ def channels(array) -> list:
     if dr.is_tensor_v(array):
         return [array.array]
     return [array] if dr.depth_v(array) == 1 else list(array)
+
+
+def mean(value):
+    """Mean over the channels of a colour or spectrum. On its way, `dr.mean` overflows where there are many lanes."""
+    return dr.sum(value) / len(value)
 
 
 def _message(plugin, name, upper, given) -> str:

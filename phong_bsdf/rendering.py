@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import needs
+from . import needs, soundness
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
@@ -117,9 +117,23 @@ def _close_gaps(state: "mi.parser.ParserState") -> None:
         state.nodes[0] = root
 
 
+def check(path: Path, state: "mi.parser.ParserState") -> None:
+    """Raises `SceneError` for what a parsed scene says that no picture of it would show: before anything is made."""
+    _refuse(path, soundness.wrong(state))
+
+
+def _refuse(path: Path, found: str | None) -> None:
+    if found:
+        raise SceneError(sentence(RuntimeError(found), path))
+
+
 def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None = None) -> LoadedScene:
     """Load a parsed scene, perhaps changed since; `path` is where it came from, `start` when that began."""
     start = start or time.perf_counter()
+    check(path, state)
+    ignored = soundness.ignored(state)
+    if ignored:
+        mi.Log(mi.LogLevel.Warn, f"{path}: {ignored}")  # pyright: ignore[reportCallIssue]  (not in Mitsuba's stubs)
     scene = make(path, state)
     if not isinstance(scene, mi.Scene):
         raise SceneError(f"{path}: the file describes no <scene>")
@@ -131,6 +145,7 @@ def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None 
             needs.check_lights(scene)
         except needs.UnsupportedScene as error:
             raise SceneError(located(error, path, state)) from None
+    _refuse(path, soundness.wrong_image(scene, state))
     return LoadedScene(Path(path), scene, integrator, time.perf_counter() - start)
 
 

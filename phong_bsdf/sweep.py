@@ -168,6 +168,7 @@ def _item(text: str, whole: str) -> list[str]:
 
 def _key(path: Path, defines: Mapping[str, str], settings: Settings, hashed: Callable[[Path], str]) -> str:
     state = rendering.parse(path, defines, merge=False)
+    rendering.check(path, state)
     # Beside the hash, which leaves sizes and samples out, the whole text.
     said = [fingerprint.scene_hash(path, state, hashed), mi.parser.write_string(state)]
     return fingerprint.digest([*said, asdict(settings), mi.variant(), fingerprint.versions()])

@@ -12,7 +12,7 @@ import mitsuba as mi
 from .dispatch import Dispatch
 from .facing import Told, interpolates, is_front
 from .geometry import Geometry, Tight
-from .lights import Dark, Lights
+from .lights import Dark, Finite, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, bsdfs_of, check_lights, delta_lobes, prepared, wake
 from .parameters import FAINT
@@ -34,6 +34,7 @@ class Memory:
 
     table: Table = field(default_factory=Table)
     dark: Dark = field(default_factory=Dark)
+    finite: Finite = field(default_factory=Finite)
     seen: Seen = field(default_factory=Seen)
     tight: Tight = field(default_factory=Tight)
 
@@ -64,6 +65,7 @@ class Tracer:
             # A tree of rays has no backward derivative; only a scene that needs one is to fail.
             keep = keep - {"branches"}
         check_lights(scene)
+        memory.finite.check(scene.emitters())
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
         self.geometry = Geometry(scene, memory.tight)
         self.surfaces = Surfaces(scene, memory.seen)

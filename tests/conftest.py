@@ -8,6 +8,7 @@ import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
 import mitsuba as mi  # isort: skip
 import browsing
 import dask_processes
+import messages as logged
 import pytest
 
 # A shell ignores Ctrl-C for what it runs in the background, and so would all processes that tests interrupt.
@@ -84,30 +85,8 @@ def any_variant(request):
     return request.param
 
 
-class Messages(mi.Appender):
-    """Collects what Mitsuba logs."""
-
-    def __init__(self):
-        super().__init__()
-        self.lines = []
-
-    def append(self, level, text):
-        self.lines.append((level, text))
-
-    def log_progress(self, *_):
-        pass
-
-
 @pytest.fixture
 def messages():
     """Mitsuba's warnings, instead of on the terminal."""
-    logger, collected = mi.logger(), Messages()
-    before = [logger.appender(i) for i in range(logger.appender_count())]
-    logger.clear_appenders()
-    logger.add_appender(collected)
-    mi.set_log_level(mi.LogLevel.Warn)
-    yield collected.lines
-    logger.clear_appenders()
-    for appender in before:
-        logger.add_appender(appender)
-    mi.set_log_level(mi.LogLevel.Error)
+    with logged.messages() as texts:
+        yield texts

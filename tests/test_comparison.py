@@ -274,9 +274,13 @@ def test_physical_vocabulary_end_to_end(scene):
 
 @pytest.mark.slow
 def test_pictures_that_are_no_numbers_are_flagged(scene):
-    """A scene whose light is infinite has no errors, but a count, in the table and in the records."""
+    """A scene with infinite texels has no errors, but a count, in the table and in the records."""
+    mi.Bitmap(np.full((2, 2, 3), np.inf, np.float32)).write("infinite.exr")
     text = Path("a.xml").read_text()
-    Path("a.xml").write_text(text.replace('y="2" z="0"/>', 'y="2" z="0"/><float name="intensity" value="1e39"/>'))
+    Path("a.xml").write_text(text.replace("</scene>", """
+        <shape type="sphere"><float name="radius" value="50"/><boolean name="flip_normals" value="true"/>
+            <bsdf type="diffuse"><texture type="bitmap" name="reflectance"><boolean name="raw" value="true"/>
+                <string name="filename" value="infinite.exr"/></texture></bsdf></shape></scene>"""))  # fmt: skip
     result = command("a.xml", "-o", "out", "--against", "diffuse")
     assert result.exit_code == 0, result.stderr
     rows = json.loads(Path("out/comparison.json").read_text())["rows"]

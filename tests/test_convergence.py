@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -420,9 +421,11 @@ def test_full_disk(scene):
 @pytest.mark.slow
 def test_pixels_that_are_no_numbers_are_reported(scene):
     """Counted on the terminal, in the rows and on the page; no error is formed where they are."""
+    mi.Bitmap(np.full((2, 2, 3), np.inf, np.float32)).write("infinite.exr")
     Path("a.xml").write_text(SCENE.format(light="constant").replace("</scene>", """
         <shape type="sphere"><point name="center" x="0" y="1" z="3"/><float name="radius" value="0.3"/>
-            <emitter type="area"><rgb name="radiance" value="1e39, 1, 1"/></emitter></shape></scene>"""))  # fmt: skip
+            <bsdf type="diffuse"><texture type="bitmap" name="reflectance"><boolean name="raw" value="true"/>
+                <string name="filename" value="infinite.exr"/></texture></bsdf></shape></scene>"""))  # fmt: skip
     found = converge(*FAST, "--method", "path")
     assert all(row["nonfinite"] > 0 and row["relmse"] is None for row in found["rows"])
     assert "no numbers" in Path("out/index.html").read_text()

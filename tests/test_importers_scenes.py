@@ -1,5 +1,6 @@
 """Scenes of Mitsuba 0.2 to 0.6 become scenes that load: each old word in its new one, every loss with its line."""
 
+import math
 import re
 
 import drjit as dr
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import phong_bsdf  # noqa: F401
-from phong_bsdf import images, lobes
+from phong_bsdf import images, lobes, rendering
 from phong_bsdf.importers import ConversionError, catalogue, convert_scene, values
 
 SENSOR = """\
@@ -322,6 +323,39 @@ def test_each_old_word(convert, name):
     assert bool(about_it) == bool(lost), result.records
     if lost is False:
         assert result.changes
+
+
+def test_stretched_spheres(convert):
+    """As Mitsuba 0.6 drew them: round, by the scale of the x axis; the list says so, and the new scene loads."""
+    result, _, scene = convert(
+        '<shape type="sphere"><point name="center" x="1" y="1" z="0"/><float name="radius" value="3"/>'
+        '<transform name="toWorld"><scale x="0.5" y="2"/><rotate x="1" y="1" angle="90"/></transform></shape>' + SENSOR
+    )
+    assert [loss.what for loss in result.losses] == ["'sphere' that is stretched to axes of 2, 1, 0.5"]
+    assert "as Mitsuba 0.6 drew it" in result.losses[0].why
+    box = scene.shapes()[0].bbox()
+    # (0.5, 2, 0), turned by 90 degrees about the diagonal of x and y: the center stays where it was.
+    assert np.array(box.center()) == pytest.approx([1.25, 1.25, 0.75 * math.sqrt(2)], abs=1e-6)
+    assert np.array(box.extents()) == pytest.approx([3, 3, 3], rel=1e-6)
+    assert bool(rendering.load(result.output))
+
+
+def test_spheres_that_stay_spheres_are_left_alone(convert):
+    """Scaled evenly, turned, moved, or by a parameter without a default."""
+    inside = '<scale value="2"/><rotate y="1" angle="20"/><translate x="1"/>'
+    result, text, _ = convert(f'<shape type="sphere"><transform name="toWorld">{inside}</transform></shape>{SENSOR}')
+    assert inside in text and not result.losses
+
+
+def test_axes_of_rotations(convert):
+    """Mitsuba 0.6 made unit vectors of them; Mitsuba 3 would stretch what is turned."""
+    result, _, scene = convert(
+        '<shape type="rectangle"><transform name="toWorld"><rotate x="1" y="1" z="1" angle="120"/></transform></shape>'
+        + SENSOR
+    )
+    assert any("<rotate> about an axis of length 1.732" in change.what for change in result.changes)
+    matrix = np.array(mi.traverse(scene.shapes()[0])["to_world"].matrix)[:3, :3, 0]
+    assert matrix == pytest.approx(np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), abs=1e-6)
 
 
 @pytest.mark.slow

@@ -195,3 +195,89 @@ def test_normalization_gives_albedo_one(lobe):
         integral = 2 * math.pi * np.sum(weights * f) * math.pi / 4
         c = getattr(lobes, f"{lobe}_normalization")(mi.Float(p))[0]
         assert c * integral == pytest.approx(1, rel=1e-6)
+
+
+def corners(n, seed):
+    """`wi` at and near the normal and the horizon, exponents and `xi` at and near the ends of their ranges."""
+    rng = np.random.default_rng(seed)
+    tiny = 10 ** rng.uniform(-40, 0, (6, n))
+    pick = rng.integers(0, 3, (4, n))
+    sin, cos = tiny[0], np.sqrt(1 - tiny[0] ** 2)
+    sin, cos = np.where(pick[0] == 0, (sin, cos), (cos, sin))
+    sin = np.where(pick[0] == 2, 0, sin)
+    cos = np.where(pick[0] == 2, 1, cos)
+    phi = 2 * np.pi * np.where(pick[1] == 0, rng.integers(0, 4, n) / 4, rng.random(n))
+    wi = np.stack([sin * np.cos(phi), sin * np.sin(phi), cos]).astype(np.float32)
+    p = np.choose(pick[2], (tiny[1], 10 ** rng.uniform(-3, 8, n), rng.choice([0, 1, 1e8], n))).astype(np.float32)
+    ends = rng.choice([0, 2.0**-24, 0.5, 1 - 2.0**-24], (2, n))
+    xi = np.where(pick[3] == 0, tiny[2:4], np.where(pick[3] == 1, rng.random((2, n)), ends)).astype(np.float32)
+    return mi.Vector3f(wi), mi.Float(p), mi.Point2f(np.minimum(xi, np.float32(1 - 2.0**-24)))
+
+
+@pytest.mark.parametrize("lobe", LOBES)
+def test_samples_are_unit_directions(lobe):
+    """Also where `wi` is within 1e-7 of the normal and p near 0; none of Phong is below the surface."""
+    wi, p, xi = corners(2**20, seed=1)
+    wo = np.array(getattr(lobes, f"sample_{lobe}")(wi, p, xi), np.float64)
+    # Ten roundings of 6e-8, each of which moves the length by no more.
+    assert np.abs(np.linalg.norm(wo, axis=0) - 1).max() < 10 * U
+    if lobe == "phong":
+        assert wo[2].min() >= 0
+
+
+def test_half_vectors_up_to_45_degrees_stay_above_the_surface():
+    """What `sample_blinnphong` promises, at every corner of its inputs."""
+    wi, p, xi = corners(2**20, seed=2)
+    wo = lobes.sample_blinnphong(wi, p, xi)
+    half = lobes._sample_cos_power(mi.Vector3f, p, xi)
+    assert dr.all((half.z < math.sqrt(0.5) + 1e-6) | (wo.z >= 0))
+
+
+@pytest.mark.parametrize("lobe", LOBES)
+def test_derivatives_of_sampled_directions_are_finite(lobe):
+    """With respect to `wi`, p and xi, at every corner."""
+    wi, p, xi = corners(2**18, seed=3)
+    dr.enable_grad(wi, p, xi)
+    wo = getattr(lobes, f"sample_{lobe}")(wi, p, xi)
+    dr.backward(wo.x + 0.7 * wo.y - 0.3 * wo.z)
+    for x in (wi, p, xi):
+        assert dr.all(dr.isfinite(dr.grad(x)), axis=None)
+
+
+@pytest.mark.parametrize("p", (*EXPONENTS, LARGEST_EXPONENT))
+@pytest.mark.parametrize("quantity", ("value", "pdf"))
+@pytest.mark.parametrize("lobe", LOBES)
+def test_derivatives_are_finite_for_every_pair(lobe, quantity, p):
+    """Opposite, equal, mirrored and unrelated directions, down to cosines of 1e-40; for any exponent of a BSDF."""
+    n = 2**17
+    wi, wo = (np.array(corners(n, seed)[0]) for seed in (4, 5))
+    kind = np.arange(n) % 4
+    near = 10 ** np.random.default_rng(6).uniform(-12, -1, (3, n)) * (np.arange(n) % 3)
+    wo = np.select([kind == 0, kind == 1, kind == 2], [wi, wi * [[-1], [-1], [1]] + near, -wi + near], wo)
+    wo[2] = np.abs(wo[2])
+    wo = (wo / np.linalg.norm(wo, axis=0)).astype(np.float32)
+    v, w, exponent = mi.Vector3f(wi), mi.Vector3f(wo), dr.full(mi.Float, p, n)
+    dr.enable_grad(v, w, exponent)
+    dr.backward(function(lobe, quantity)(v, w, exponent))
+    for x in (v, w, exponent):
+        assert dr.all(dr.isfinite(dr.grad(x)), axis=None)
+
+
+@pytest.mark.parametrize("p", (0, 1, 20))
+@pytest.mark.parametrize("cos", (1e-1, 1e-2, 1e-3))
+def test_derivatives_of_the_density_toward_opposite_horizons(cos, p):
+    """Where |wi + wo|, whose inverse the density of Blinn-Phong has, is small: mpmath's, in each component."""
+    sin = math.sqrt(1 - cos**2)
+    wi = np.array([sin, 0, cos], np.float32)
+    sin = math.sqrt(1 - (1.5 * cos) ** 2)
+    wo = np.array([-sin * math.cos(0.3 * cos), sin * math.sin(0.3 * cos), 1.5 * cos], np.float32)
+    v, w, exponent = mi.Vector3f(wi), mi.Vector3f(wo), mi.Float(p)
+    dr.enable_grad(v, w, exponent)
+    dr.backward(lobes.blinnphong_pdf(v, w, exponent))
+    computed = np.concatenate([np.array(dr.grad(x)).ravel() for x in (v, w, exponent)])
+    numbers = [mp.mpf(float(x)) for x in (*wi, *wo)] + [mp.mpf(p)]
+    orders = [tuple(int(j == k) for j in range(7)) for k in range(7)]
+    with mp.workdps(50):
+        true = [float(mp.diff(lambda *x: by_mpmath("blinnphong", "pdf", x), numbers, order)) for order in orders]
+    # The sum wi + wo of size 2 cos has lost log2(1 / cos) bits: 100 roundings of what is left.
+    assert computed == pytest.approx(true, rel=100 * U / cos, abs=100 * U / cos * np.abs(true).max())

@@ -75,6 +75,7 @@ def read(path: Path, defines: Mapping[str, str] | None = None) -> Scene:
     """Parse a scene; ValueError for one that cannot be compared."""
     # Merged later: replacing a BSDF needs its id.
     state = rendering.parse(path, defines, merge=False)
+    rendering.check(path, state)
     props = _integrator(path, state).props
     emitters = [node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Emitter]
     lobes = (i for i, node in enumerate(state.nodes) if node.props.plugin_name() in LOBES)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .. import images
 from ..needs import ANALYTIC, ROBUST
-from . import bsdfs, catalogue, plugins, textures, values, xmlfile
+from . import bsdfs, catalogue, plugins, textures, transforms, values, xmlfile
 from .context import Context
 from .paths import Files, check_output
 from .records import Conversion, ConversionError, Journal, header
@@ -129,6 +129,8 @@ def _transforms(context: Context) -> None:
             for key, text in node.attrib.items():
                 if ";" in text:
                     node.set(key, text.replace(";", ","))
+        if node.tag == "rotate":
+            transforms.unit_axis(node, context)
 
 
 def _filenames(context: Context) -> None:

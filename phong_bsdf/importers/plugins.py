@@ -5,6 +5,7 @@ BSDFs and textures have modules of their own. Names are in snake_case by now.
 """
 
 from .context import Context
+from .transforms import round_sphere
 from .values import color, number, set_color, to_text
 from .xmlfile import Node
 
@@ -230,6 +231,8 @@ def _sky(node: Node, context: Context) -> None:
 
 
 def _shape(node: Node, context: Context) -> None:
+    if node.type == "sphere":
+        round_sphere(node, context)
     surfaces = [
         n for n in node.nodes if n.tag == "bsdf" or (n.tag == "ref" and getattr(context.target(n), "tag", "") == "bsdf")
     ]

@@ -5,7 +5,7 @@ import functools
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf import energy, lobes
+from phong_bsdf import arguments, energy, lobes
 from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS, Material
 from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
@@ -81,8 +81,9 @@ class LobeBSDF(mi.BSDF):
             self.scale_array = dr.opaque(mi.Float, self.scale) if dr.is_jit_v(mi.Float) else self.scale
 
     def sample(self, ctx, si, sample1, sample2, active=True):
+        sample1, sample2 = arguments.random_number(sample1), arguments.random_point(sample2)
         cos_theta_i = mi.Frame3f.cos_theta(si.wi)
-        active = active & (cos_theta_i > 0)
+        active = arguments.mask(active) & (cos_theta_i > 0)
         bs = dr.zeros(mi.BSDFSample3f)
         diffuse, glossy = self._enabled(ctx)
         if not (diffuse or glossy):
@@ -150,6 +151,7 @@ class LobeBSDF(mi.BSDF):
 
     def _eval_pdf(self, ctx, si, wo, active, value=True, pdf=True):
         """Value f cos(theta_o) and density; either can be left out (its place then holds 0)."""
+        wo, active = arguments.direction(wo), arguments.mask(active)
         cos_theta_o = mi.Frame3f.cos_theta(wo)
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (cos_theta_o > 0)
         diffuse, glossy = self._enabled(ctx)
@@ -184,8 +186,8 @@ class LobeBSDF(mi.BSDF):
 
     def _glossy_share(self, si, p, active):
         """Probability of sampling the lobe: its part of what is reflected at this angle of incidence."""
-        diffuse = dr.mean(self.diffuse.value(si, active))
-        glossy = dr.mean(self.specular.value(si, active)) * self.albedo(mi.Frame3f.cos_theta(si.wi), p)
+        diffuse = self.diffuse.mean(si, active)
+        glossy = self.specular.mean(si, active) * self.albedo(mi.Frame3f.cos_theta(si.wi), p)
         total = diffuse + glossy
         share = dr.detach(dr.select(total > 0, glossy / dr.select(total > 0, total, 1), 0.5))
         # Neither of the two may be missing from a derivative.

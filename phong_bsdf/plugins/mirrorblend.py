@@ -5,10 +5,11 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
+from phong_bsdf import arguments
 from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS
 from phong_bsdf.needs import ALL_COMPONENTS, MIRRORLESS
-from phong_bsdf.parameters import FAINT, Parameter
+from phong_bsdf.parameters import FAINT, Parameter, mean
 
 
 class MirrorBlend(mi.BSDF):
@@ -81,6 +82,8 @@ class MirrorBlend(mi.BSDF):
             self.m_flags |= flags
 
     def sample(self, ctx, si, sample1, sample2, active=True):
+        sample1, sample2 = arguments.random_number(sample1), arguments.random_point(sample2)
+        active = arguments.mask(active)
         mirror, nested_ctx = self._split(ctx)
         if not mirror and not nested_ctx:
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
@@ -115,6 +118,7 @@ class MirrorBlend(mi.BSDF):
         return dr.select(choose_mirror, bs, nested), dr.select(choose_mirror, weight, nested_weight)
 
     def eval(self, ctx, si, wo, active=True):
+        wo, active = arguments.direction(wo), arguments.mask(active)
         nested_ctx = self._split(ctx)[1]
         if not nested_ctx:
             return mi.Spectrum(0)
@@ -122,6 +126,7 @@ class MirrorBlend(mi.BSDF):
         return value * self._nested_scale(ctx, si, active)
 
     def pdf(self, ctx, si, wo, active=True):
+        wo, active = arguments.direction(wo), arguments.mask(active)
         mirror, nested_ctx = self._split(ctx)
         if not nested_ctx:
             return mi.Float(0)
@@ -187,7 +192,7 @@ class MirrorBlend(mi.BSDF):
 
     def _share(self, km):
         """Probability of sampling the mirror. It is not differentiated: only what a sample carries is."""
-        share = dr.detach(dr.mean(km))
+        share = dr.detach(mean(km))
         # Neither of the two that are blended may be missing from a derivative.
         return dr.clip(share, 0.1, 0.9) if self.km.differentiated else share
 

@@ -5,7 +5,7 @@ import mitsuba as mi
 
 from phong_bsdf.camera import WHOLE, CameraSamples
 from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, picture, splat, store
-from phong_bsdf.needs import FEATURES
+from phong_bsdf.needs import FEATURES, left_out
 from phong_bsdf.parameters import Parameter
 from phong_bsdf.tracer import Memory, Tracer
 
@@ -54,8 +54,9 @@ class Whitted(Base):
     (physical). `constant` and `envmap` emitters are a background: rays that leave the
     scene see them, they light nothing. Delta lobes of native BSDFs (`conductor`, `plastic`,
     `dielectric`, `thindielectric`, `mask`) are followed, all branches of them. Shadow rays
-    stop at any surface. Area lights are an error. In the course convention a surface is black from
-    behind only where both its normals, geometric and shading, face away from the viewer.
+    stop at any surface. Area lights are an error, as are lights that are not finite. Media are left out, and Mitsuba
+    draws stretched spheres round: of both there is one warning for each scene. In the course convention a surface is
+    black from behind only where both its normals, geometric and shading, face away from the viewer.
 
     Source: Whitted, "An improved illumination model for shaded display", 1980.
 
@@ -86,6 +87,8 @@ class Whitted(Base):
         # Features that stay in the kernel though a scene does not need them: measurements set this.
         self.keep = frozenset() if specialize else frozenset(FEATURES)
         self.memory = Memory()
+        # Scenes that were looked at for what is not rendered: each says so once.
+        self.looked_at = set()
         # The part of the grid of samples that is rendered: a rendering in passes sets this.
         self.part = WHOLE
         # Hears the share done after each of several passes.
@@ -119,6 +122,11 @@ class Whitted(Base):
 
     def tracer(self, scene, mode=None):
         """What renders `scene`; `mode` is None or that of a derivative."""
+        if scene.ptr not in self.looked_at and not dr.flag(dr.JitFlag.FreezingScope):
+            self.looked_at.add(scene.ptr)
+            said = left_out(scene)
+            if said:
+                mi.Log(mi.LogLevel.Warn, said)
         return Tracer(
             scene,
             self.memory,
