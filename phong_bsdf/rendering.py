@@ -15,11 +15,14 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import needs
+from . import films, needs
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
+
+# Beyond so many samples of a pixel the sums in a pass may be longer by this factor, and lose more: up to 1e-5.
+LONG_SUMS, LONGER = 2**20, 8
 
 # The class of the integrator `whitted`.
 WHITTED = "Whitted"
@@ -154,7 +157,9 @@ def render(
     Large renderings go in passes, and `on_progress` hears the share done after each. A
     `whitted` picture of n^2 samples goes in bands of rows, and depends on them only where
     rounding decides (2 pixels of 30 000 in a test). Others with the `independent` sampler go in
-    passes of different seeds, and so have other noise than one pass would.
+    passes of different seeds, and so have other noise than one pass would. With any sampler
+    a pass has no more samples than float32 adds up exactly enough (`films.most_summed`), and
+    passes are added up in double precision.
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
@@ -194,24 +199,51 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
     """The picture so far (rows not rendered yet are 0) and the share that is done, after each pass."""
     film = sensor.film()
     width, height = (int(side) for side in film.crop_size())
-    box = film.rfilter().is_box_filter()
-
-    if width * height * spp <= SAMPLES_PER_PASS:
+    if loaded.integrator == WHITTED:
+        # It makes its own passes, and adds up exactly enough.
+        if width * height * spp > SAMPLES_PER_PASS and film.rfilter().is_box_filter() and cameras.grid(spp):
+            yield from _bands(loaded.scene, sensor, spp, seed, max(SAMPLES_PER_PASS // (width * spp), 1))
+        else:
+            yield _render(loaded.scene, sensor, spp, seed), 1.0
+    elif spp <= (per_pass := _pass_spp(sensor, spp)):
         yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif loaded.integrator == WHITTED and box and cameras.grid(spp):
-        rows = max(SAMPLES_PER_PASS // (width * spp), 1)
-        yield from _bands(loaded.scene, sensor, spp, seed, rows)
-    elif sensor.sampler().class_name() == "IndependentSampler":
-        # A power of two: only those are the same picture, bit by bit, each time.
-        per_pass = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
-        total, done = 0.0, 0
-        while done < spp:
-            n = min(per_pass, spp - done)
-            total = total + n * _render(loaded.scene, sensor, n, pass_seed(seed, done)).astype(np.float64)
-            done += n
-            yield (total / done).astype(np.float32), done / spp
     else:
-        yield _render(loaded.scene, sensor, spp, seed), 1.0
+        total, done, taken = 0.0, 0, 0
+        try:
+            while done < spp:
+                asked = min(per_pass, spp - done)
+                # Samplers round the number as they need.
+                n = cameras.samples_taken(sensor.sampler().clone(), asked)
+                image = _render(loaded.scene, sensor, n, pass_seed(seed, done))
+                total, done, taken = total + n * image.astype(np.float64), done + asked, taken + n
+                yield (total / taken).astype(np.float32), done / spp
+        finally:
+            # As one rendering would leave it.
+            cameras.samples_taken(sensor.sampler(), spp)
+
+
+def _pass_spp(sensor, spp: int) -> int:
+    """How many of `spp` samples per pixel one pass has, of an integrator that does not care by itself."""
+    film = sensor.film()
+    width, height = (int(side) for side in film.crop_size())
+    most = films.most_summed(film) * (LONGER if spp > LONG_SUMS else 1)
+    if width * height * spp > SAMPLES_PER_PASS and sensor.sampler().class_name() == "IndependentSampler":
+        # A power of two: only those are the same picture, bit by bit, each time.
+        most = min(most, 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1))
+    return most
+
+
+def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
+    """Samples per pixel that `render` takes when asked for `spp`: samplers round them in each pass."""
+    sensor = loaded.sensor(camera)
+    if loaded.integrator == WHITTED:
+        if cameras.grid(spp):
+            return spp
+        sets = -(-spp // films.most_summed(sensor.film()))
+        taken = cameras.samples_taken(sensor.sampler().clone(), wanted := -(-spp // sets))
+        return spp if taken == wanted else sets * taken
+    whole, rest = divmod(spp, n := min(_pass_spp(sensor, spp), spp))
+    return sum(k * cameras.samples_taken(sensor.sampler().clone(), m) for k, m in ((whole, n), (1, rest)) if m and k)
 
 
 @contextlib.contextmanager
