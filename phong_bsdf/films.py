@@ -26,6 +26,35 @@ def most_summed(film) -> int:
     return 1024 if film.rfilter().is_box_filter() else 256
 
 
+def channels(film, integrator) -> tuple[str, ...]:
+    """Names of the channels of pictures that `integrator` makes with this film, as Mitsuba names them in files.
+
+    ValueError where nobody can tell.
+    """
+    added = list(integrator.aov_names())
+    if integrator.class_name() != "AOVIntegrator":
+        return (*_film_channels(film), *added)
+    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
+        raise ValueError("Mitsuba mixes up the channels of an integrator 'aov' with the bands of this film; use a 'hdrfilm'")
+    # The pictures of the integrators inside come first, as the film has colours, but are announced as R, G, B, A.
+    inside = [name[:-2] for name in added if name.endswith(".A")]
+    if any("." in name for name in inside):
+        raise ValueError("an integrator 'aov' inside of another one gives channels that have no names; use one")
+    announced = {f"{name}.{channel}" for name in inside for channel in "RGBA"}
+    base = _film_channels(film)
+    pictures = [name if i == 0 else f"{inside[i]}.{name}" for i in range(len(inside)) for name in base]
+    return (*pictures, *(name for name in added if name not in announced))
+
+
+def _film_channels(film) -> list[str]:
+    formats = [name for name in ("y", "ya", "rgb", "rgba", "xyz", "xyza") if f"pixel_format = {name}," in str(film)]
+    if formats:
+        return list(formats[0].upper())
+    # Bands, or whatever else the film says when it is asked for a picture.
+    film.prepare([])
+    return [field.name for field in film.bitmap().struct_()]
+
+
 def channel_count(film) -> int:
     """How many channels the picture of a plain film has."""
     return 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import films, needs
+from . import films, images, needs
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
@@ -62,6 +62,8 @@ class Rendering:
     seconds_rendering: float
     compiled: bool
     """Whether a kernel was compiled that no earlier rendering of the process had needed."""
+    channels: tuple[str, ...] = ()
+    """Names of the picture's channels, as Mitsuba has them: R, G, B, A, ..."""
 
 
 def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
@@ -139,6 +141,14 @@ def count_lights(loaded: LoadedScene) -> int:
     return sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in loaded.scene.emitters())
 
 
+def channels(loaded: LoadedScene, camera: int) -> tuple[str, ...]:
+    """Names of the channels of the camera's picture; SceneError where it can have none."""
+    try:
+        return films.channels(loaded.sensor(camera).film(), loaded.scene.integrator())
+    except (RuntimeError, ValueError) as error:
+        raise SceneError(sentence(error, loaded.path)) from None
+
+
 def pass_seed(seed: int, done: int) -> int:
     """Seed of a pass before which `done` samples were taken: passes of nearby seeds have none in common."""
     return (seed + done * cameras.STRIDE) % 2**32
@@ -150,6 +160,7 @@ def render(
     camera: int = 1,
     spp: int = 0,
     seed: int = 0,
+    color: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Rendering:
     """Render camera number `camera` (from 1) with `spp` samples per pixel (0: as the scene says).
@@ -159,16 +170,19 @@ def render(
     rounding decides (2 pixels of 30 000 in a test). Others with the `independent` sampler go in
     passes of different seeds, and so have other noise than one pass would. With any sampler
     a pass has no more samples than float32 adds up exactly enough (`films.most_summed`), and
-    passes are added up in double precision.
+    passes are added up in double precision. With `color` the picture is its colour, Y, YA, RGB or RGBA,
+    without what the integrator or film adds; SceneError where it has none.
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
     if 0 in sensor.film().crop_size():
         raise SceneError(f"{loaded.path}: the film has no pixels; its width and height must be at least 1")
     spp = spp or sensor.sampler().sample_count()
+    names = channels(loaded, camera)
+    if color and not images.color_channels(names):
+        raise SceneError(f"{loaded.path}: the picture has no colours, only the channels {', '.join(names)}; "
+                         "use a film of RGB, XYZ or luminance")  # fmt: skip
     try:
-        if scene.integrator().aov_names():
-            raise ValueError("the integrator adds channels (AOVs), which this command cannot write")
         with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()
             for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
@@ -176,9 +190,15 @@ def render(
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
         raise SceneError(sentence(error, loaded.path)) from None
+    if image.shape[2] != len(names):
+        raise SceneError(f"{loaded.path}: the picture has {image.shape[2]} channels, and not those that Mitsuba names: "
+                         f"{', '.join(names)}")  # fmt: skip
+    if color:
+        image = images.color(image, names)
+        names = tuple(images.CHANNELS[image.shape[2]])
     seconds = max(seconds - compiling.seconds, 0.0)
     return Rendering(
-        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
+        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened, names
     )
 
 

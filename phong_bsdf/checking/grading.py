@@ -94,7 +94,7 @@ class Assignment:
         if size:
             rendering.resize(self.loaded, camera, *size)
         self.sensor = self.loaded.sensor(camera)
-        self.rendering = rendering.render(self.loaded, camera=camera, spp=spp, seed=seed)
+        self.rendering = rendering.render(self.loaded, camera=camera, spp=spp, seed=seed, color=True)
         image = metrics.colors(self.rendering.image)
         bad = metrics.nonfinite(image)
         if bad:
