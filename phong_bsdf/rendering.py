@@ -22,7 +22,7 @@ from .scene_errors import SceneError, located, sentence
 SAMPLES_PER_PASS = 2**24
 
 # Beyond so many samples of a pixel the sums in a pass may be longer by this factor, and lose more: up to 1e-5.
-LONG_SUMS, LONGER = 2**20, 8
+LONG_SUMS, LONGER = 2**20, 4
 
 # The class of the integrator `whitted`.
 WHITTED = "Whitted"
@@ -225,7 +225,7 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
             yield from _bands(loaded.scene, sensor, spp, seed, max(SAMPLES_PER_PASS // (width * spp), 1))
         else:
             yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif spp <= (per_pass := _pass_spp(sensor, spp)):
+    elif spp <= (per_pass := _pass_spp(loaded, sensor, spp)):
         yield _render(loaded.scene, sensor, spp, seed), 1.0
     else:
         total, done, taken = 0.0, 0, 0
@@ -242,11 +242,11 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
             cameras.samples_taken(sensor.sampler(), spp)
 
 
-def _pass_spp(sensor, spp: int) -> int:
+def _pass_spp(loaded: LoadedScene, sensor, spp: int) -> int:
     """How many of `spp` samples per pixel one pass has, of an integrator that does not care by itself."""
     film = sensor.film()
     width, height = (int(side) for side in film.crop_size())
-    most = films.most_summed(film) * (LONGER if spp > LONG_SUMS else 1)
+    most = films.most_summed(film, loaded.scene.integrator()) * (LONGER if spp > LONG_SUMS else 1)
     if width * height * spp > SAMPLES_PER_PASS and sensor.sampler().class_name() == "IndependentSampler":
         # A power of two: only those are the same picture, bit by bit, each time.
         most = min(most, 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1))
@@ -259,10 +259,10 @@ def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
     if loaded.integrator == WHITTED:
         if cameras.grid(spp):
             return spp
-        sets = -(-spp // films.most_summed(sensor.film()))
+        sets = -(-spp // films.most_summed(sensor.film(), loaded.scene.integrator()))
         taken = cameras.samples_taken(sensor.sampler().clone(), wanted := -(-spp // sets))
         return spp if taken == wanted else sets * taken
-    whole, rest = divmod(spp, n := min(_pass_spp(sensor, spp), spp))
+    whole, rest = divmod(spp, n := min(_pass_spp(loaded, sensor, spp), spp))
     return sum(k * cameras.samples_taken(sensor.sampler().clone(), m) for k, m in ((whole, n), (1, rest)) if m and k)
 
 

@@ -160,7 +160,7 @@ class Whitted(Base):
             if not develop:
                 raise ValueError("whitted: renders with develop = true only; sensor.film() has the rest afterwards")
             with dr.suspend_grad():
-                samples, spp = self.prepare(sensor, seed, spp, self.aov_names(), most_summed(film))
+                samples, spp = self.prepare(sensor, seed, spp, self.aov_names(), most_summed(film, self))
                 tracer = self.tracer(scene)
                 if samples.sets > 1:
                     return self._render_sets(samples, tracer, film)
@@ -222,7 +222,7 @@ class Whitted(Base):
             if not is_plain(film):
                 return super().render_forward(scene, params, sensor, seed, spp)
             with dr.suspend_grad():
-                samples, spp = self.prepare(sensor, seed, spp, most=most_summed(film))
+                samples, spp = self.prepare(sensor, seed, spp, most=most_summed(film, self))
                 parts = {}
                 for part in samples.passes():
                     with dr.resume_grad():
@@ -249,7 +249,7 @@ class Whitted(Base):
                 super().render_backward(scene, params, grad_in, sensor, seed, spp)
                 return
             with dr.suspend_grad():
-                samples, spp = self.prepare(sensor, seed, spp, most=most_summed(film))
+                samples, spp = self.prepare(sensor, seed, spp, most=most_summed(film, self))
                 for part in samples.passes():
                     gradient = gradient_of_samples(grad_in.array, channel_count(film), part, spp)
                     with dr.resume_grad():
@@ -269,7 +269,7 @@ class Whitted(Base):
             """Renders one sample after the other."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             film = sensor.film()
-            samples, _ = self.prepare(sensor, seed, spp, self.aov_names(), most_summed(film))
+            samples, _ = self.prepare(sensor, seed, spp, self.aov_names(), most_summed(film, self))
             blocks = [film.create_block() for _ in range(samples.sets)]
             tracer = self.tracer(scene)
             for index in range(samples.count):
