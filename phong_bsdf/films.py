@@ -2,32 +2,11 @@
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-
-# Tiles of a block lie this far from its corner at most, in pixels: where a sample lies in its pixel stays exact enough.
-TILES_SIDE = 1024
-
 
 def is_plain(film) -> bool:
     """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
     special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
     return not special and film.rfilter().is_box_filter() and "pixel_format = rgb" in str(film)
-
-
-def most_summed(film, integrator) -> int:
-    """How many samples of a pixel may be added up in one block, which is float32.
-
-    With the box filter each of k additions loses up to 2^-25 of the sum, all of the same sign where all samples are
-    equal: 128 lose 1.9e-6 at worst. Dr.Jit adds up the 8 or 16 neighbours in a vector first, but not where a sample
-    has 2, 4, 8, ... values (RGB and its weight). The weights of other filters differ, and the losses with them: 256 and
-    64 lose 2e-6 and 3e-6 in the worst pixel of 4096, and means of several lose less.
-    """
-    values = film.base_channels_count() + 1
-    powers = {n & (n - 1) == 0 for n in (values, values + len(integrator.aov_names()))}
-    neighbours_first = dr.is_jit_v(mi.Float) and True not in powers
-    if film.rfilter().is_box_filter():
-        return 1024 if neighbours_first else 128
-    return 256 if neighbours_first else 64
 
 
 def channels(film, integrator) -> tuple[str, ...]:
@@ -70,12 +49,6 @@ def gradient_of_samples(gradient, channels, part, spp):
     return mi.Color3f(*(dr.gather(mi.Float, gradient, channels * pixel + i) for i in range(3))) / spp
 
 
-def set_sums(values, part):
-    """Sums over the samples of each pixel of a `camera.Part`: over several sets in double precision."""
-    sums = dr.block_sum(values, part.spp)
-    return sums if part.sets == 1 else dr.block_sum(dr.float64_array_t(mi.Float)(sums), part.sets)
-
-
 def picture(film, channels):
     """The tensor of a plain film's size whose channels are these, one value for each pixel."""
     width, height = (int(side) for side in film.crop_size())
@@ -110,66 +83,6 @@ def splat(block, film, position, value, wavelengths, valid):
     block.put(position, [*channels, 1.0])
 
 
-class Sets:
-    """Samples of a pixel by the sets that they come in: each set is added up in a tile of its own of a block, and the
-    tiles in double precision."""
-
-    def __init__(self, film):
-        self.film = film
-        self.width, self.height = (int(side) for side in film.crop_size())
-        # Samples near the edge of one tile reach beyond it.
-        self.border = 0 if film.rfilter().is_box_filter() else int(film.rfilter().border_size())
-        self.across, self.down = (side + 2 * self.border for side in (self.width, self.height))
-        # As many tiles as a block may have.
-        self.columns, self.rows = (max(TILES_SIDE // side, 1) for side in (self.across, self.down))
-        self.total = None
-
-    @property
-    def most(self) -> int:
-        """How many sets a block may have."""
-        return self.columns * self.rows
-
-    def block(self, sets):
-        """A block for so many sets."""
-        columns = min(sets, self.columns)
-        return self.film.create_block(mi.ScalarVector2u(columns * self.across, -(-sets // columns) * self.down))
-
-    def position(self, position, number, sets):
-        """Where samples of the sets `number`, of so many in a block, lie there; `position`: on the film."""
-        columns = min(sets, self.columns)
-        row = number // columns
-        tile = mi.Vector2f(number - row * columns, row) * mi.Vector2f(self.across, self.down)
-        return position - mi.Vector2f(self.film.crop_offset()) + (tile + self.border)
-
-    def add(self, block, sets):
-        """Adds up the sets of a block."""
-        columns, channels, double = min(sets, self.columns), block.channel_count(), dr.float64_array_t(mi.Float)
-        number = dr.arange(mi.UInt32, self.width * self.height * channels * sets)
-        value = number // sets
-        tile = number - value * sets
-        pixel = value // channels
-        x, y = pixel % self.width, pixel // self.width
-        x, y = x + tile % columns * self.across + self.border, y + tile // columns * self.down + self.border
-        index = (y * (columns * self.across) + x) * channels + (value - pixel * channels)
-        found = dr.block_sum(double(dr.gather(mi.Float, block.tensor().array, index)), sets)
-        self.total = found if self.total is None else self.total + found
-        dr.eval(self.total)
-
-    def put(self):
-        """Gives the film what was added."""
-        shape = self.height, self.width, dr.width(self.total) // (self.width * self.height)
-        put_tensor(self.film, mi.TensorXf(mi.Float(self.total), shape))
-
-
 def put_tensor(film, tensor):
     """Gives the film a block of these values, (height, width, channels and weight)."""
     film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
-
-
-def put_blocks(film, blocks):
-    """Gives the film, of a scalar variant, the sum of blocks; a single one as it is."""
-    if len(blocks) == 1:
-        film.put_block(blocks[0])
-        return
-    total = sum(np.array(block.tensor(), np.float64) for block in blocks)
-    put_tensor(film, mi.TensorXf(total.astype(np.float32)))

@@ -15,13 +15,14 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import films, images, needs
+from . import films, images, needs, sums
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
 
-# Beyond so many samples of a pixel the sums in a pass may be longer by this factor, and lose more: up to 1e-5.
+# Beyond so many samples of a pixel the sums in a pass may be longer by this factor, and lose more: up to 1e-5. Only
+# where `sums` has no better way.
 LONG_SUMS, LONGER = 2**20, 4
 
 # The class of the integrator `whitted`.
@@ -168,9 +169,10 @@ def render(
     Large renderings go in passes, and `on_progress` hears the share done after each. A
     `whitted` picture of n^2 samples goes in bands of rows, and depends on them only where
     rounding decides (2 pixels of 30 000 in a test). Others with the `independent` sampler go in
-    passes of different seeds, and so have other noise than one pass would. With any sampler
-    a pass has no more samples than float32 adds up exactly enough (`films.most_summed`), and
-    passes are added up in double precision. With `color` the picture is its colour, Y, YA, RGB or RGBA,
+    passes of different seeds, and so have other noise than one pass would. Of many samples for
+    a pixel the sum is exact to 2e-6 (`sums`): of the same samples, where they are seen by rays of
+    one integrator; else (scalar variants, `aov`, `moment`, `ptracer`) in passes of different
+    seeds, whatever the sampler. With `color` the picture is its colour, Y, YA, RGB or RGBA,
     without what the integrator or film adds; SceneError where it has none.
     """
     scene = loaded.scene
@@ -246,10 +248,12 @@ def _pass_spp(loaded: LoadedScene, sensor, spp: int) -> int:
     """How many of `spp` samples per pixel one pass has, of an integrator that does not care by itself."""
     film = sensor.film()
     width, height = (int(side) for side in film.crop_size())
-    most = films.most_summed(film, loaded.scene.integrator()) * (LONGER if spp > LONG_SUMS else 1)
+    most = spp
     if width * height * spp > SAMPLES_PER_PASS and sensor.sampler().class_name() == "IndependentSampler":
         # A power of two: only those are the same picture, bit by bit, each time.
-        most = min(most, 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1))
+        most = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
+    if not sums.can_render(loaded.scene, sensor, most):
+        most = min(most, sums.most_summed(film, loaded.scene.integrator()) * (LONGER if spp > LONG_SUMS else 1))
     return most
 
 
@@ -259,7 +263,7 @@ def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
     if loaded.integrator == WHITTED:
         if cameras.grid(spp):
             return spp
-        sets = -(-spp // films.most_summed(sensor.film(), loaded.scene.integrator()))
+        sets = -(-spp // sums.most_summed(sensor.film(), loaded.scene.integrator()))
         taken = cameras.samples_taken(sensor.sampler().clone(), wanted := -(-spp // sets))
         return spp if taken == wanted else sets * taken
     whole, rest = divmod(spp, n := min(_pass_spp(loaded, sensor, spp), spp))
@@ -302,7 +306,9 @@ def _bands(scene, sensor, spp, seed, rows):
 
 
 def _render(scene, sensor, spp, seed) -> np.ndarray:
-    image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+    many = spp > sums.most_summed(sensor.film(), scene.integrator()) and sums.can_render(scene, sensor, spp)
+    image = sums.render(scene, sensor, spp, seed) if many else mi.render(scene, sensor=sensor, spp=spp, seed=seed)
+    image = np.array(image)
     return image if image.ndim == 3 else image[:, :, None]
 
 
