@@ -24,7 +24,10 @@ from .session import errors, progress, start
 @cluster_options
 def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
            resume, cluster, verbose):  # fmt: skip
-    """Render a Mitsuba XML SCENE."""
+    """Render a Mitsuba XML SCENE.
+
+    An .exr file holds all channels under the names that Mitsuba gives them, a .png file the colour.
+    """
     with errors():
         from .. import images
 
