@@ -3,6 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
+
 def is_plain(film) -> bool:
     """Whether a picture of this film is its pixels: RGB or RGBA, the box filter, no film with channels of its own."""
     special = mi.has_flag(film.flags(), mi.FilmFlags.Special) or mi.is_spectral or mi.is_monochromatic
@@ -18,7 +19,8 @@ def channels(film, integrator) -> tuple[str, ...]:
     if integrator.class_name() != "AOVIntegrator":
         return (*_film_channels(film), *added)
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        raise ValueError("Mitsuba mixes up the channels of an integrator 'aov' with the bands of this film; use a 'hdrfilm'")
+        raise ValueError("Mitsuba mixes up the channels of an integrator 'aov' with the bands of this film; use a "
+                         "'hdrfilm'")  # fmt: skip
     # The pictures of the integrators inside come first, as the film has colours, but are announced as R, G, B, A.
     inside = [name[:-2] for name in added if name.endswith(".A")]
     if any("." in name for name in inside):

@@ -180,7 +180,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_checked(path: Path) -> np.ndarray:
-    """All channels of an EXR file, as `read_all` has them; ValueError where it is not, bit by bit, what `write` wrote."""
+    """All channels of an EXR file, as `read_all` has them; ValueError where they are not, bit by bit, as written."""
     try:
         # The library says what is wrong on stdout; before 3.5.3 it fails where there is none.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -261,8 +261,8 @@ def png(image: np.ndarray, *, channels: Sequence[str] | None = None, linear: boo
     bytes_ = np.empty((*image.shape[:2], count), np.uint8)
     # Row by row: temporary arrays of a large picture would be several times its size.
     for row, values in zip(bytes_, image, strict=True):
-        values = _straight(color(values, channels))
-        row[:] = to_8bit(values if linear else _srgb_colors(values))
+        shown = _straight(color(values, channels))
+        row[...] = to_8bit(shown if linear else _srgb_colors(shown))
     if count == 2:
         bytes_ = np.ascontiguousarray(bytes_[:, :, [0, 0, 0, 1]])
     stream = MemoryStream()

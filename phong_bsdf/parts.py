@@ -152,8 +152,8 @@ def check(parts: Sequence[Part], *, mixed_versions: bool = False) -> None:
             remedy = "; --mixed-versions merges all the same" if found[0].startswith("versions") else ""
             raise ValueError(f"'{part.path}' does not belong to '{first.path}': {'; '.join(found)}{remedy}")
         if part.channels != first.channels:
-            raise ValueError(f"'{part.path}' does not belong to '{first.path}': channels {', '.join(part.channels)}, not "
-                             f"{', '.join(first.channels)}")  # fmt: skip
+            mine, others = (", ".join(p.channels) for p in (part, first))
+            raise ValueError(f"'{part.path}' does not belong to '{first.path}': channels {mine}, not {others}")
         for samples in part.samples:
             for name in samples.names():
                 if name in owners:

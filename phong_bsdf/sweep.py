@@ -118,7 +118,8 @@ def render(path: Path, row: Row, settings: Settings, output: Path, packed: str =
     made = rendering.render(loaded, camera=settings.camera, spp=settings.spp, seed=settings.seed)
     seconds, mean = time.perf_counter() - start, _energy(made)
     record = json.dumps({"key": row.key, "seconds": seconds, "mean": mean})
-    images.write(output, made.image, channels=made.channels, metadata={RECORD: record, **parts.metadata(subject, [samples])})
+    said = {RECORD: record, **parts.metadata(subject, [samples])}
+    images.write(output, made.image, channels=made.channels, metadata=said)
     return seconds, mean
 
 

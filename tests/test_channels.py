@@ -213,8 +213,9 @@ def test_moments(folder):
 
 def test_what_nobody_can_name(folder):
     """Refused in a sentence before rendering, not written under other names."""
-    inner = AOV.replace('name="aovs" value="dd.y', 'name="aovs" value="e').replace('name="img"', 'name="in"')
-    scene(hdrfilm("rgb"), AOV.replace('<integrator type="path" name="img"/>', inner.replace('type="aov"', 'type="aov" name="k"')))
+    inner = AOV.replace('value="dd.y', 'value="e').replace('name="img"', 'name="in"')
+    inner = inner.replace('type="aov"', 'type="aov" name="k"')
+    scene(hdrfilm("rgb"), AOV.replace('<integrator type="path" name="img"/>', inner))
     assert "an integrator 'aov' inside of another one" in refused("render", "a.xml", "-o", "a.exr")
     scene(specfilm("a", "b"), AOV, "")
     assert "mixes up the channels" in refused("render", "a.xml", "-o", "a.exr", "-m", "scalar_spectral")
@@ -226,9 +227,9 @@ def test_what_nobody_can_name(folder):
 
 def test_crop_windows(folder):
     """The channels of a part of the film."""
-    film = hdrfilm("xyz", (6, 4)).replace("</film>", '<integer name="crop_offset_x" value="1"/><integer name="crop_width" '
-                                          'value="3"/><integer name="crop_height" value="2"/></film>')  # fmt: skip
-    scene(film)
+    window = {"crop_offset_x": 1, "crop_width": 3, "crop_height": 2}
+    window = "".join(f'<integer name="{name}" value="{value}"/>' for name, value in window.items())
+    scene(hdrfilm("xyz", (6, 4)).replace("</film>", f"{window}</film>"))
     command("render", "a.xml", "-o", "a.exr", "-o", "a.png")
     assert in_file("a.exr").keys() == set("XYZ") and images.read_all(Path("a.exr"))[0].shape == (2, 3, 3)
     assert png("a.png").shape == (2, 3, 3)
@@ -287,9 +288,10 @@ def test_checksum_covers_all_channels(folder):
 def test_files_of_other_programs(folder):
     """Colour first, the rest by name; X, Y and Z become RGB where colours are wanted."""
     xyz = (np.linalg.inv(images.XYZ_TO_RGB) @ np.array(FULL)).astype(np.float32)
-    channels = {name: np.full((2, 3), value, np.float32) for name, value in zip("XYZ", xyz, strict=True)}
+    stored = {**dict(zip("XYZ", xyz, strict=True)), "depth": 1, "A": 1}
+    channels = {name: np.full((2, 3), value, np.float32) for name, value in stored.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {**channels, "depth": np.ones((2, 3), np.float32), "A": np.ones((2, 3), np.float32)}).write("a.exr")
+    OpenEXR.File(header, channels).write("a.exr")
     assert images.read_channels(Path("a.exr")) == (*"XYZA", "depth")
     # float32 of a matrix of three terms.
     assert np.abs(images.read_exr(Path("a.exr")) - [*FULL, 1]).max() < 1e-6

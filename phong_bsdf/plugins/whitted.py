@@ -51,9 +51,9 @@ class Whitted(Base):
 
     Samples: spp = 1 traces pixel centres, spp = n^2 the centres of an n x n grid in each
     pixel; any other number uses the film's sampler, above 64 to 1024 samples (by the film) in sets
-    of so many. However many they are, their sum loses at most 2e-6 of its value. When max_depth ends a chain of mirrors, the last
-    `mirrorblend` shows its nested surface undiminished (course), or its mirrored part is lost
-    (physical). `constant` and `envmap` emitters are a background: rays that leave the
+    of so many. However many they are, their sum loses at most 2e-6 of its value. When max_depth ends
+    a chain of mirrors, the last `mirrorblend` shows its nested surface undiminished (course), or its
+    mirrored part is lost (physical). `constant` and `envmap` emitters are a background: rays that leave the
     scene see them, they light nothing. Delta lobes of native BSDFs (`conductor`, `plastic`,
     `dielectric`, `thindielectric`, `mask`) are followed, all branches of them. Shadow rays
     stop at any surface. Area lights are an error.

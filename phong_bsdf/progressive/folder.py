@@ -78,9 +78,7 @@ class Folder:
         """Numbers of the passes that have files."""
         return [index for index in range(self.plan.count) if self.has(index)]
 
-    def write(
-        self, index: int, image: np.ndarray, seconds: float = 0.0, channels: Sequence[str] | None = None
-    ) -> None:
+    def write(self, index: int, image: np.ndarray, seconds: float = 0.0, channels: Sequence[str] | None = None) -> None:
         """Keep a finished pass; once it is there, it counts. `channels`: their names."""
         samples = self.plan.samples(index)
         made = Pass(samples.spp, samples.seed, index, seconds, 0.0, self.plan.subject.variant,
