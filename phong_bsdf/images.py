@@ -258,7 +258,7 @@ def png(image: np.ndarray, *, channels: Sequence[str] | None = None, linear: boo
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
     count = len(color_channels(channels)) if channels else image.shape[2]
-    bytes_ = np.empty((*image.shape[:2], count), np.uint8)
+    bytes_: np.ndarray = np.empty((*image.shape[:2], count), np.uint8)
     # Row by row: temporary arrays of a large picture would be several times its size.
     for row, values in zip(bytes_, image, strict=True):
         shown = _straight(color(values, channels))

@@ -155,6 +155,36 @@ def test_a_grid_stays_a_grid(rfilter):
     assert np.abs(whole / wanted - 1)[wanted > 0.01].max() < bound
 
 
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.parametrize("lanes", [96 * 1024, 5000])
+def test_several_kernels(rfilter, lanes, monkeypatch):
+    """More samples than a kernel should have, by sets or by pixels: the same picture and derivative, and the share done."""
+    loaded = rendering.load(LECTURE / "mirror-floor.xml", {"width": "12", "height": "8"})
+    place = mi.ScalarTransform4f().look_at([0, 1.6, 8], [0, -0.25, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 12, "height": 8, "rfilter": {"type": rfilter}}
+    sensor = mi.load_dict({"type": "perspective", "to_world": place, "film": film})
+    params = mi.traverse(loaded.scene)
+    key = next(key for key in params.keys() if key.endswith("kd.value"))  # noqa: SIM118
+
+    def made():
+        picture = np.array(mi.render(loaded.scene, sensor=sensor, spp=65**2))
+        dr.enable_grad(params[key])
+        dr.set_grad(params[key], 1)
+        return picture, np.array(loaded.scene.integrator().render_forward(loaded.scene, params, sensor, spp=65**2))
+
+    whole, shares = made(), []
+    monkeypatch.setattr(camera, "LANES", lanes)
+    loaded.scene.integrator().on_progress = shares.append
+    parts = made()
+    # Each set of the box filter has the same bits; neighbours are added up in any order.
+    bound = 1e-7 if rfilter == "box" else 3e-6
+    assert np.abs(parts[0] - whole[0]).max() <= bound and whole[0].max() < 2
+    # Derivatives of other filters are Mitsuba's own, which sums 4225 samples in float32.
+    bound = 1e-6 if rfilter == "box" else 1e-4
+    assert whole[1].any() and np.abs(parts[1] - whole[1]).max() <= bound * np.abs(whole[1]).max()
+    assert len(shares) > 3 and shares == sorted(shares) and shares[-1] == 1
+
+
 def test_random_samples_are_others_in_each_set(sky):
     """The noise of 4099 samples is that of 4099, not of a set that is used again and again."""
     loaded = rendering.load(LECTURE / "mirror-floor.xml", {"width": "12", "height": "8"})
