@@ -1,6 +1,7 @@
 """Camera samples at fixed positions: pixel centres, or a regular grid in each pixel."""
 
 import math
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -37,6 +38,29 @@ def samples_taken(sampler, spp: int) -> int:
     return int(sampler.sample_count())
 
 
+class Part(NamedTuple):
+    """Samples that are rendered at once: `sets` sets of `spp` samples in each of `pixels` pixels, pixel by pixel."""
+
+    first: int
+    """Number of the first pixel."""
+    pixels: int
+    spp: int
+    number: int
+    """Of the first set."""
+    sets: int
+
+    @property
+    def lanes(self) -> int:
+        """Number of samples."""
+        return self.pixels * self.sets * self.spp
+
+    def index(self, lane):
+        """(pixel, set), both counted from the first one, of samples in the order of `lane`."""
+        of_all = lane // self.spp
+        pixel = of_all // self.sets
+        return pixel, of_all - pixel * self.sets
+
+
 class CameraSamples:
     """The samples of one rendering, numbered pixel by pixel.
 
@@ -44,9 +68,11 @@ class CameraSamples:
     is left to the film's sampler, as are wavelengths, lens and shutter where the camera has them.
     `part` = (k, (column, row)): the n x n samples are every k-th in both directions of a grid of k n x k n,
     from that column and row on. Such parts of a grid share no sample, and together they are the grid.
+    `most`: more samples of a pixel come in sets of so many at most, for sums of few values each. A grid stays the same
+    then, and each set is a rendering of its own to a sampler.
     """
 
-    def __init__(self, sensor, seed: int, spp: int, part=WHOLE):
+    def __init__(self, sensor, seed: int, spp: int, part=WHOLE, most: int | None = None):
         self.sensor = sensor
         self.film = sensor.film()
         self.jit = dr.is_jit_v(mi.Float)
@@ -58,26 +84,29 @@ class CameraSamples:
         self.step, shift = part
         # No literals where there are several parts, which share a kernel.
         self.shift = dr.opaque(mi.Point2u, shift) if self.jit and part != WHOLE else mi.Point2u(shift)
+        self.sets = -(-spp // most) if most else 1
+        self.set_spp = wanted = -(-spp // self.sets)
         self.sampler = None
         if self.grid is None:
             self.sampler = sensor.sampler().clone()
-            self.sampler.set_sample_count(spp)
+            self.sampler.set_sample_count(wanted)
             # Samplers round the number as they need.
-            spp = self.sampler.sample_count()
+            self.set_spp = self.sampler.sample_count()
         elif draws(sensor):
-            self.sampler = mi.load_dict({"type": "independent", "sample_count": spp})
-        self.spp = spp
+            self.sampler = mi.load_dict({"type": "independent", "sample_count": wanted})
+        # The last set may be shorter.
+        self.spp = spp if self.set_spp == wanted else self.sets * self.set_spp
 
         self.border = self.film.rfilter().border_size() if self.film.sample_border() else 0
         width, height = (int(side) + 2 * self.border for side in self.film.crop_size())
-        self.width, self.pixels, self.count = width, width * height, width * height * spp
+        self.width, self.pixels, self.count = width, width * height, width * height * self.spp
         self.seed = seed
         self.offset, self.size = mi.Vector2f(self.film.crop_offset()), mi.Vector2f(self.film.crop_size())
         if self.jit and dr.any(self.film.crop_size() != self.film.size()):
             # Pictures in bands are windows one after the other: no literals, or each would be another kernel.
             dr.make_opaque(self.offset, self.size)
         if self.sampler is not None and self.jit:
-            self.sampler.set_samples_per_wavefront(spp)
+            self.sampler.set_samples_per_wavefront(self.set_spp)
 
     def all(self):
         """The rays of all samples, as `rays` has them."""
@@ -86,28 +115,51 @@ class CameraSamples:
                 f"whitted: {self.pixels} pixels of {self.spp} samples are more than 2^32, too many for a derivative; "
                 "use fewer samples per pixel"
             )
-        return self.pixel_rays(0, self.pixels)
+        return self.part_rays(Part(0, self.pixels, self.spp, 0, 1))
 
-    def passes(self):
-        """(first pixel, number of pixels) of each pass: of one if the samples are few enough."""
-        pixels = max(LANES // self.spp, 1)
-        return [(first, min(pixels, self.pixels - first)) for first in range(0, self.pixels, pixels)]
+    def passes(self, most: int | None = None) -> list[Part]:
+        """What is rendered at once: all if the samples are few enough, and `most` sets at most."""
+        pixels = min(max(LANES // self.set_spp, 1), self.pixels)
+        sets = min(max(LANES // (self.set_spp * pixels), 1), self.sets, most or self.sets)
+        return [
+            Part(first, min(pixels, self.pixels - first), self.set_spp, number, min(sets, self.sets - number))
+            for number in range(0, self.sets, sets)
+            for first in range(0, self.pixels, pixels)
+        ]
 
-    def pixel_rays(self, first, pixels):
-        """In JIT variants: the samples of `pixels` pixels, from pixel number `first` on, as `rays` has them."""
-        lanes = pixels * self.spp
+    def part_rays(self, part: Part):
+        """In JIT variants: the samples of a part, as `rays` has them."""
         if self.sampler is not None:
-            self.sampler.seed(mi.UInt32(self.seed) + (first * STRIDE) % 2**32, lanes)
+            other = part.first + part.number * self.pixels
+            self.sampler.seed(mi.UInt32(self.seed) + (other * STRIDE) % 2**32, part.lanes)
+        lane = dr.arange(mi.UInt32, part.lanes)
+        if self.sets > 1:
+            pixel, _ = part.index(lane)
+            sample = lane - pixel * (part.sets * part.spp) + dr.opaque(mi.UInt32, part.number * part.spp)
+            return self._rays(dr.opaque(mi.UInt32, part.first) + pixel, sample)
+        pixel = lane // part.spp
         # Not a literal where there are several passes, which share a kernel.
-        return self.rays(dr.arange(mi.UInt32, lanes), first if pixels == self.pixels else dr.opaque(mi.UInt32, first))
+        first = part.first if part.pixels == self.pixels else dr.opaque(mi.UInt32, part.first)
+        return self._rays(first + pixel, lane - pixel * part.spp)
 
-    def rays(self, index, first=0):
-        """(rays, weights, positions on the film in pixels) of the samples `index`, counted from pixel `first` on."""
-        pixel = first + index // self.spp
+    def counts(self, part: Part):
+        """Which samples of a part there are: the last set may be shorter than the others."""
+        if (part.number + part.sets) * part.spp <= self.spp:
+            return True
+        pixel, _ = part.index(lane := dr.arange(mi.UInt32, part.lanes))
+        return lane - pixel * (part.sets * part.spp) < self.spp - part.number * part.spp
+
+    def rays(self, index):
+        """(rays, weights, positions on the film in pixels) of the sample number `index`, in scalar variants."""
+        pixel = index // self.spp
+        return self._rays(pixel, index - pixel * self.spp)
+
+    def _rays(self, pixel, sample):
         if self.sampler is not None and not self.jit:
             # A sampler knows the samples of one pixel; some never return when asked for more.
-            if index % self.spp == 0:
-                self.sampler.seed((self.seed * self.count + pixel) % 2**32, 1)
+            if sample % self.set_spp == 0:
+                number = sample // self.set_spp * self.pixels + pixel
+                self.sampler.seed((self.seed * self.count + number) % 2**32, 1)
             else:
                 self.sampler.advance()
         y = pixel // self.width
@@ -115,9 +167,8 @@ class CameraSamples:
         if self.grid is None:
             inside = self.sampler.next_2d()
         else:
-            cell = index - (pixel - first) * self.spp
-            row = cell // self.grid
-            cell = mi.Point2u(cell - row * self.grid, row) * self.step + self.shift
+            row = sample // self.grid
+            cell = mi.Point2u(sample - row * self.grid, row) * self.step + self.shift
             inside = (mi.Point2f(cell) + 0.5) / (self.grid * self.step)
         position = corner + inside
 

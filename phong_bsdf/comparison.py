@@ -148,8 +148,9 @@ def run(
         if size:
             rendering.resize(loaded, camera, *size)
         result = rendering.render(
-            loaded, camera=camera, spp=spp, seed=seed, on_progress=lambda share, p=picture: on_progress(p, share)
-        )
+            loaded, camera=camera, spp=spp, seed=seed, color=True,
+            on_progress=lambda share, p=picture: on_progress(p, share),
+        )  # fmt: skip
         swapped = sum(r.picture == picture for r in planned.replacements) if picture != ORIGINAL else 0
         rows.append(_row(picture, swapped, loaded, result, images.get(ORIGINAL)))
         images[picture] = metrics.colors(result.image)

@@ -83,10 +83,12 @@ def products(passes: Sequence[np.ndarray], references: Sequence[np.ndarray], wei
 class WeightedMean:
     """Mean of pictures of one scene, each weighted by its number of samples, and how far it may be from the truth.
 
-    In double precision, in the order of `add`: the same pictures in the same order give the same bits.
+    In double precision, in the order of `add`: the same pictures in the same order give the same bits. `judged`: the
+    channels whose error counts, by their numbers; None: all.
     """
 
-    def __init__(self):
+    def __init__(self, judged: Sequence[int] | None = None):
+        self.judged = None if judged is None else list(judged)
         self.count = 0
         self.samples = 0
         self._sum = np.zeros(())
@@ -95,7 +97,7 @@ class WeightedMean:
     def add(self, image: np.ndarray, samples: int) -> None:
         """A picture, shape (height, width, channels), of so many samples per pixel."""
         weighted = samples * np.asarray(image, np.float64)
-        self._squares += float(np.vdot(weighted, image))
+        self._squares += float(np.vdot(self._judged(weighted), self._judged(image)))
         self._sum = weighted if self.count == 0 else np.add(self._sum, weighted, out=self._sum)
         self.count += 1
         self.samples += samples
@@ -111,12 +113,16 @@ class WeightedMean:
         """
         if self.count < 2:
             return None
+        total = self._judged(self._sum)
         # Pictures of independent samples spread by sigma^2 / samples.
-        spread = self._squares - float(np.vdot(self._sum, self._sum)) / self.samples
-        variance = max(spread, 0.0) / (self.count - 1) / self._sum.size
-        level = float(np.abs(self._sum).sum()) / self.samples / self._sum.size
+        spread = self._squares - float(np.vdot(total, total)) / self.samples
+        variance = max(spread, 0.0) / (self.count - 1) / total.size
+        level = float(np.abs(total).sum()) / self.samples / total.size
         error = math.sqrt(variance / self.samples) / level if level > 0 else math.nan
         return error if math.isfinite(error) else None
+
+    def _judged(self, image: np.ndarray) -> np.ndarray:
+        return image if self.judged is None else np.ascontiguousarray(image[..., self.judged])
 
 
 def average(images: Sequence[np.ndarray]) -> np.ndarray:

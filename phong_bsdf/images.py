@@ -7,17 +7,25 @@ Mitsuba's own EXR routines are avoided: they wait for ever where Dr.Jit has no f
 import contextlib
 import glob
 import io
+import json
 import os
 import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 FORMATS = (".exr", ".png")
 CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
-CHECKSUM = "crc32"
+# What colours can be stored as: the names of their channels, the first that are all there count.
+COLORS = ("RGB", "XYZ", "Y")
+CHECKSUM, ORDER = "crc32", "channel_order"
+
+# Linear sRGB of X, Y, Z, as Mitsuba has it.
+XYZ_TO_RGB = np.array([
+    [3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]
+])  # fmt: skip
 
 
 def check_writable(path: Path) -> None:
@@ -48,23 +56,74 @@ def check_folder(folder: Path) -> None:
         raise ValueError(f"'{folder}' cannot be written: {error.strerror or error}") from None
 
 
-def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a linear image of shape (height, width, channels), channels Y, YA, RGB or RGBA.
+def color_channels(channels: Sequence[str]) -> str:
+    """Which of these channels are the colour, and alpha: "RGB", "XYZA", "Y", ..., or "" where there is none."""
+    colors = next((names for names in COLORS if set(names) <= set(channels)), "")
+    return colors and colors + "A" * ("A" in channels)
 
-    EXR holds it as it is (32-bit float), with `metadata` and a checksum as string attributes. PNG holds
-    round(255 clamp(x, 0, 1)) of x = image if `linear`, else of its sRGB encoding. Raises OSError
-    where the file cannot be written in full.
+
+def judged(channels: Sequence[str]) -> list[int] | None:
+    """The numbers of the channels that a picture's error is told of: its colour and alpha. None: all of them."""
+    colors = color_channels(channels)
+    return [list(channels).index(name) for name in colors] if 0 < len(colors) < len(channels) else None
+
+
+def check_channels(path: Path, channels: Sequence[str]) -> None:
+    """Raise ValueError if the file `path` cannot hold these channels: a PNG shows the colour, and nothing without."""
+    if len(set(channels)) < len(channels):
+        twice = next(name for name in channels if list(channels).count(name) > 1)
+        raise ValueError(f"'{path}': two channels have the name '{twice}'; give each its own")
+    if Path(path).suffix.lower() == ".png" and not color_channels(channels):
+        raise ValueError(f"'{path}': a PNG shows colours, and the picture has none, only {', '.join(channels)}; "
+                         "write an .exr")  # fmt: skip
+
+
+def color(image: np.ndarray, channels: Sequence[str] | None = None) -> np.ndarray:
+    """The colour of an image whose last axis is `channels` (None: Y, YA, RGB or RGBA), as Y, YA, RGB or RGBA.
+
+    X, Y and Z become linear sRGB; alpha stays as it is. ValueError where there is no colour.
+    """
+    if channels is None:
+        return image
+    wanted = color_channels(channels)
+    if not wanted:
+        raise ValueError(f"the picture has no colour, only the channels {', '.join(channels)}")
+    if wanted != "".join(channels):
+        image = image[..., [list(channels).index(name) for name in wanted]]
+    if not wanted.startswith("XYZ"):
+        return image
+    return np.concatenate([(image[..., :3] @ XYZ_TO_RGB.T).astype(image.dtype), image[..., 3:]], axis=-1)
+
+
+def write(
+    path: Path,
+    image: np.ndarray,
+    *,
+    channels: Sequence[str] | None = None,
+    linear: bool = False,
+    metadata: Mapping[str, str] | None = None,
+) -> None:
+    """Write a linear image of shape (height, width, channels); `channels` names them (None: Y, YA, RGB or RGBA).
+
+    EXR holds it as it is (32-bit float), with `metadata` and a checksum as string attributes. PNG holds the colour:
+    round(255 clamp(x, 0, 1)) of x = colour if `linear`, else of its sRGB encoding; with alpha the colour is divided
+    by it, as PNG wants it. Raises OSError where the file cannot be written in full.
     """
     path = Path(path)
     image = np.asarray(image, np.float32)
-    if image.shape[2] not in CHANNELS:
-        raise ValueError(f"'{path}': an image of {image.shape[2]} channels cannot be written, only Y, YA, RGB or RGBA")
+    if channels is None and image.shape[2] not in CHANNELS:
+        raise ValueError(f"'{path}': an image of {image.shape[2]} channels cannot be written without their names, only "
+                         "Y, YA, RGB or RGBA")  # fmt: skip
+    given, channels = channels is not None, tuple(channels or CHANNELS[image.shape[2]])
+    if len(channels) != image.shape[2]:
+        raise ValueError(f"'{path}': {image.shape[2]} channels have {len(channels)} names, {', '.join(channels)}")
+    check_channels(path, channels)
     with _whole(path) as temporary:
         try:
             if path.suffix.lower() == ".exr":
-                _write_exr(temporary, image, metadata or {})
+                _write_exr(temporary, image, metadata or {}, *(channels if given else ()))
             else:
-                _write_png(temporary, image, linear)
+                _write_png(temporary, image, channels, linear)
         except RuntimeError as error:
             # The library names the temporary file first, then the reason.
             reason = str(error).rsplit('". ', 1)[-1].rstrip(".")
@@ -72,12 +131,45 @@ def write(path: Path, image: np.ndarray, *, linear: bool = False, metadata: Mapp
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """The image in an EXR file, shape (height, width, channels), float32, channels in the order Y or R, G, B, A."""
+    """The colour in an EXR file, shape (height, width, channels), float32, channels Y or R, G, B, then A.
+
+    X, Y and Z become linear sRGB; channels beside the colour are left out. ValueError where there is no colour.
+    """
     OpenEXR = _openexr()
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        names = [name for name in ("Y", "R", "G", "B", "A") if name in channels]
-        return np.stack([np.asarray(channels[name].pixels, np.float32) for name in names], axis=-1)
+        found = file.channels()
+        names = tuple(color_channels(tuple(found)))
+        if not names:
+            raise ValueError(f"'{path}' holds no colours, only the channels {', '.join(sorted(found))}")
+        return color(_stacked(found, names), names)
+
+
+def read_all(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """All channels of an EXR file, (height, width, channels), float32, as they are stored, and their names."""
+    OpenEXR = _openexr()
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        names = _ordered(file.header(), file.channels())
+        return _stacked(file.channels(), names), names
+
+
+def read_channels(path: Path) -> tuple[str, ...]:
+    """The names of the channels of an EXR file, in the order of `read_all`."""
+    OpenEXR = _openexr()
+    with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        return _ordered(file.header(), [channel.name for channel in file.header()["channels"]])
+
+
+def _ordered(header, found) -> tuple[str, ...]:
+    """Names of channels as they were when the file was written; of other files the colour comes first."""
+    order = json.loads(header[ORDER]) if isinstance(header.get(ORDER), str) else []
+    if sorted(order) == sorted(found):
+        return tuple(order)
+    colors = color_channels(tuple(found))
+    return (*colors, *sorted(set(found) - set(colors)))
+
+
+def _stacked(found, names: Sequence[str]) -> np.ndarray:
+    return np.stack([np.asarray(found[name].pixels, np.float32) for name in names], axis=-1)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -88,11 +180,11 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_checked(path: Path) -> np.ndarray:
-    """The image in an EXR file, as `read_exr` has it; ValueError where it is not, bit by bit, what `write` wrote."""
+    """All channels of an EXR file, as `read_all` has them; ValueError where they are not, bit by bit, as written."""
     try:
         # The library says what is wrong on stdout; before 3.5.3 it fails where there is none.
         with contextlib.redirect_stdout(io.StringIO()):
-            image, wanted = read_exr(path), read_metadata(path).get(CHECKSUM)
+            image, wanted = read_all(path)[0], read_metadata(path).get(CHECKSUM)
     except (RuntimeError, ValueError):
         image, wanted = None, None
     # Files of other programs have none.
@@ -122,17 +214,21 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
     return np.rint(255 * np.clip(np.nan_to_num(image, nan=0.0), 0, 1)).astype(np.uint8)
 
 
-def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str]) -> None:
+def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str], *names: str) -> None:
     OpenEXR = _openexr()
-    names = CHANNELS[image.shape[2]]
-    # Three and four channels as they lie in memory: large pictures are not copied.
-    together = len(names) > 2
+    names = names or tuple(CHANNELS[image.shape[2]])
+    # Colours as they lie in memory: large pictures are not copied.
+    usual = "".join(names) in CHANNELS.values()
     channels = (
-        {names: np.ascontiguousarray(image)} if together else {n: image[:, :, i].copy() for i, n in enumerate(names)}
+        {"".join(names): np.ascontiguousarray(image)}
+        if usual and len(names) > 2
+        else {n: image[:, :, i].copy() for i, n in enumerate(names)}
     )
+    # A file has its channels in the order of the alphabet.
+    order = {} if usual else {ORDER: json.dumps(list(names))}
     # Compressing takes longer than rendering; the library's default is one thread.
     OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    own = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, CHECKSUM: _checksum(image)}
+    own = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, CHECKSUM: _checksum(image), **order}
     header = {**own, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(path)
@@ -156,25 +252,27 @@ def _checksum(image: np.ndarray) -> str:
     return f"{zlib.crc32(np.ascontiguousarray(image).data):08x}"
 
 
-def png(image: np.ndarray, *, linear: bool = False) -> bytes:
-    """The bytes of a PNG file of an image, (height, width, 1 to 4 channels), as `write` writes it."""
+def png(image: np.ndarray, *, channels: Sequence[str] | None = None, linear: bool = False) -> bytes:
+    """The bytes of a PNG file of an image, (height, width, channels), as `write` writes it."""
     # Not `mitsuba.Bitmap`: this one needs no variant to be set.
     from mitsuba.mitsuba_ext import Bitmap, MemoryStream
 
-    bytes_ = np.empty(image.shape, np.uint8)
+    count = len(color_channels(channels)) if channels else image.shape[2]
+    bytes_: np.ndarray = np.empty((*image.shape[:2], count), np.uint8)
     # Row by row: temporary arrays of a large picture would be several times its size.
     for row, values in zip(bytes_, image, strict=True):
-        row[:] = to_8bit(values if linear else _srgb_colors(values))
-    if image.shape[2] == 2:
+        shown = _straight(color(values, channels))
+        row[...] = to_8bit(shown if linear else _srgb_colors(shown))
+    if count == 2:
         bytes_ = np.ascontiguousarray(bytes_[:, :, [0, 0, 0, 1]])
     stream = MemoryStream()
     Bitmap(bytes_).write(stream, Bitmap.FileFormat.PNG)
     return bytes(stream.raw_buffer())
 
 
-def _write_png(path: str, image: np.ndarray, linear: bool) -> None:
+def _write_png(path: str, image: np.ndarray, channels: Sequence[str], linear: bool) -> None:
     # By way of memory: the library does not notice a full disk.
-    Path(path).write_bytes(png(image, linear=linear))
+    Path(path).write_bytes(png(image, channels=channels, linear=linear))
 
 
 def srgb(colors: np.ndarray) -> np.ndarray:
@@ -186,6 +284,14 @@ def srgb(colors: np.ndarray) -> np.ndarray:
 def from_srgb(encoded: np.ndarray) -> np.ndarray:
     """The linear values that sRGB encodes as `encoded`, of 0 to 1."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def _straight(image: np.ndarray) -> np.ndarray:
+    """Colours divided by their alpha, where it is not 0: films hold what a pixel adds to a picture, PNG its colour."""
+    if image.shape[-1] in (1, 3):
+        return image
+    alpha = image[..., -1:]
+    return np.concatenate([image[..., :-1] / np.where(alpha > 0, alpha, 1), alpha], axis=-1)
 
 
 def _srgb_colors(image: np.ndarray) -> np.ndarray:

@@ -77,6 +77,8 @@ class Part:
     subject: Subject
     samples: tuple[Samples, ...]
     """One, or those of all the parts that it was merged from."""
+    channels: tuple[str, ...] = tuple("RGB")
+    """Names of the picture's channels."""
 
     @property
     def spp(self) -> int:
@@ -107,7 +109,7 @@ def read(path: Path) -> Part:
     if not path.is_file():
         raise ValueError(f"'{path}': {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
-        header = images.read_metadata(path)
+        header, channels = images.read_metadata(path), images.read_channels(path)
     except (RuntimeError, ValueError, OSError):
         raise ValueError(f"'{path}' cannot be read as EXR; a picture is merged from the .exr files that "
                          "`phong-bsdf render` wrote") from None  # fmt: skip
@@ -116,7 +118,7 @@ def read(path: Path) -> Part:
         listed = [Samples(**{**s, "shift": tuple(s.get("shift", (0, 0)))}) for s in json.loads(header[SAMPLES])]
         if not listed or not all(s.spp > 0 and (s.random or grid(s.spp)) for s in listed):
             raise ValueError("no samples")
-        return Part(path, subject, tuple(listed))
+        return Part(path, subject, tuple(listed), channels)
     except (KeyError, IndexError, TypeError, ValueError):
         raise ValueError(f"'{path}' does not say which samples of which scene it shows; only pictures that "
                          "`phong-bsdf render` wrote can be merged") from None  # fmt: skip
@@ -149,6 +151,9 @@ def check(parts: Sequence[Part], *, mixed_versions: bool = False) -> None:
         if found := differences(subject, first.subject):
             remedy = "; --mixed-versions merges all the same" if found[0].startswith("versions") else ""
             raise ValueError(f"'{part.path}' does not belong to '{first.path}': {'; '.join(found)}{remedy}")
+        if part.channels != first.channels:
+            mine, others = (", ".join(p.channels) for p in (part, first))
+            raise ValueError(f"'{part.path}' does not belong to '{first.path}': channels {mine}, not {others}")
         for samples in part.samples:
             for name in samples.names():
                 if name in owners:
@@ -173,7 +178,7 @@ def ordered(parts: Iterable[Part]) -> list[Part]:
 
 def merged(parts: Sequence[Part], on_progress: Callable[[float], None] = lambda share: None) -> WeightedMean:
     """The mean of parts, `ordered`, that `check` let pass; ValueError for one that is broken."""
-    mean = WeightedMean()
+    mean = WeightedMean(images.judged(parts[0].channels))
     for part in parts:
         image = images.read_checked(part.path)
         if image.shape[1::-1] != part.subject.size:

@@ -7,7 +7,7 @@ finished, and the next run goes on from there.
 import contextlib
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,11 +68,15 @@ class Store:
         """Whether the pass has been made."""
         return self.path(key, spp, repeat).is_file()
 
-    def add(self, key: str, made: Pass, image: np.ndarray, metadata: Mapping[str, str] | None = None) -> None:
-        """Write a pass, with `metadata` beside its record; OSError where the disk is full."""
+    def add(
+        self, key: str, made: Pass, image: np.ndarray, metadata: Mapping[str, str] | None = None,
+        channels: Sequence[str] | None = None,
+    ) -> None:  # fmt: skip
+        """Write a pass, with `metadata` beside its record; OSError where the disk is full. `channels`: their names."""
         path = self.path(key, made.spp, made.repeat)
         path.parent.mkdir(exist_ok=True)
-        images.write(path, image, metadata={**(metadata or {}), RECORD: json.dumps(dataclasses.asdict(made))})
+        said = {**(metadata or {}), RECORD: json.dumps(dataclasses.asdict(made))}
+        images.write(path, image, channels=channels, metadata=said)
 
     def keep(self, key: str, spp: int, repeat: int, content: bytes) -> None:
         """Write a pass as the file that `add` made elsewhere; OSError where the disk is full."""

@@ -15,11 +15,15 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import needs, soundness
+from . import films, images, needs, soundness, sums
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
+
+# Beyond so many samples of a pixel the sums in a pass may be longer by this factor, and lose more: up to 1e-5. Only
+# where `sums` has no better way.
+LONG_SUMS, LONGER = 2**20, 4
 
 # The class of the integrator `whitted`.
 WHITTED = "Whitted"
@@ -59,6 +63,8 @@ class Rendering:
     seconds_rendering: float
     compiled: bool
     """Whether a kernel was compiled that no earlier rendering of the process had needed."""
+    channels: tuple[str, ...] = ()
+    """Names of the picture's channels, as Mitsuba has them: R, G, B, A, ..."""
 
 
 def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
@@ -162,6 +168,14 @@ def count_lights(loaded: LoadedScene) -> int:
     return sum(loaded.integrator != WHITTED or needs.is_delta(emitter) for emitter in loaded.scene.emitters())
 
 
+def channels(loaded: LoadedScene, camera: int) -> tuple[str, ...]:
+    """Names of the channels of the camera's picture; SceneError where it can have none."""
+    try:
+        return films.channels(loaded.sensor(camera).film(), loaded.scene.integrator())
+    except (RuntimeError, ValueError) as error:
+        raise SceneError(sentence(error, loaded.path)) from None
+
+
 def pass_seed(seed: int, done: int) -> int:
     """Seed of a pass before which `done` samples were taken: passes of nearby seeds have none in common."""
     return (seed + done * cameras.STRIDE) % 2**32
@@ -173,6 +187,7 @@ def render(
     camera: int = 1,
     spp: int = 0,
     seed: int = 0,
+    color: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Rendering:
     """Render camera number `camera` (from 1) with `spp` samples per pixel (0: as the scene says).
@@ -180,16 +195,22 @@ def render(
     Large renderings go in passes, and `on_progress` hears the share done after each. A
     `whitted` picture of n^2 samples goes in bands of rows, and depends on them only where
     rounding decides (2 pixels of 30 000 in a test). Others with the `independent` sampler go in
-    passes of different seeds, and so have other noise than one pass would.
+    passes of different seeds, and so have other noise than one pass would. Of many samples for
+    a pixel the sum is exact to 2e-6 (`sums`): of the same samples, where they are seen by rays of
+    one integrator; else (scalar variants, `aov`, `moment`, `ptracer`) in passes of different
+    seeds, whatever the sampler. With `color` the picture is its colour, Y, YA, RGB or RGBA,
+    without what the integrator or film adds; SceneError where it has none.
     """
     scene = loaded.scene
     sensor = loaded.sensor(camera)
     if 0 in sensor.film().crop_size():
         raise SceneError(f"{loaded.path}: the film has no pixels; its width and height must be at least 1")
     spp = spp or sensor.sampler().sample_count()
+    names = channels(loaded, camera)
+    if color and not images.color_channels(names):
+        raise SceneError(f"{loaded.path}: the picture has no colours, only the channels {', '.join(names)}; "
+                         "use a film of RGB, XYZ or luminance")  # fmt: skip
     try:
-        if scene.integrator().aov_names():
-            raise ValueError("the integrator adds channels (AOVs), which this command cannot write")
         with _CompileTime() as compiling, _heard(scene.integrator(), on_progress):
             start = time.perf_counter()
             for image, share in _passes(loaded, sensor, spp, seed):  # noqa: B007  (the last one counts)
@@ -197,9 +218,15 @@ def render(
             seconds = time.perf_counter() - start
     except (RuntimeError, ValueError) as error:
         raise SceneError(sentence(error, loaded.path)) from None
+    if image.shape[2] != len(names):
+        raise SceneError(f"{loaded.path}: the picture has {image.shape[2]} channels, and not those that Mitsuba names: "
+                         f"{', '.join(names)}")  # fmt: skip
+    if color:
+        image = images.color(image, names)
+        names = tuple(images.CHANNELS[image.shape[2]])
     seconds = max(seconds - compiling.seconds, 0.0)
     return Rendering(
-        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened
+        image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened, names
     )
 
 
@@ -220,24 +247,53 @@ def _passes(loaded: LoadedScene, sensor, spp: int, seed: int) -> Iterator[tuple[
     """The picture so far (rows not rendered yet are 0) and the share that is done, after each pass."""
     film = sensor.film()
     width, height = (int(side) for side in film.crop_size())
-    box = film.rfilter().is_box_filter()
-
-    if width * height * spp <= SAMPLES_PER_PASS:
+    if loaded.integrator == WHITTED:
+        # It makes its own passes, and adds up exactly enough.
+        if width * height * spp > SAMPLES_PER_PASS and film.rfilter().is_box_filter() and cameras.grid(spp):
+            yield from _bands(loaded.scene, sensor, spp, seed, max(SAMPLES_PER_PASS // (width * spp), 1))
+        else:
+            yield _render(loaded.scene, sensor, spp, seed), 1.0
+    elif spp <= (per_pass := _pass_spp(loaded, sensor, spp)):
         yield _render(loaded.scene, sensor, spp, seed), 1.0
-    elif loaded.integrator == WHITTED and box and cameras.grid(spp):
-        rows = max(SAMPLES_PER_PASS // (width * spp), 1)
-        yield from _bands(loaded.scene, sensor, spp, seed, rows)
-    elif sensor.sampler().class_name() == "IndependentSampler":
-        # A power of two: only those are the same picture, bit by bit, each time.
-        per_pass = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
-        total, done = 0.0, 0
-        while done < spp:
-            n = min(per_pass, spp - done)
-            total = total + n * _render(loaded.scene, sensor, n, pass_seed(seed, done)).astype(np.float64)
-            done += n
-            yield (total / done).astype(np.float32), done / spp
     else:
-        yield _render(loaded.scene, sensor, spp, seed), 1.0
+        total, done, taken = 0.0, 0, 0
+        try:
+            while done < spp:
+                asked = min(per_pass, spp - done)
+                # Samplers round the number as they need.
+                n = cameras.samples_taken(sensor.sampler().clone(), asked)
+                image = _render(loaded.scene, sensor, n, pass_seed(seed, done))
+                total, done, taken = total + n * image.astype(np.float64), done + asked, taken + n
+                yield (total / taken).astype(np.float32), done / spp
+        finally:
+            # As one rendering would leave it.
+            cameras.samples_taken(sensor.sampler(), spp)
+
+
+def _pass_spp(loaded: LoadedScene, sensor, spp: int) -> int:
+    """How many of `spp` samples per pixel one pass has, of an integrator that does not care by itself."""
+    film = sensor.film()
+    width, height = (int(side) for side in film.crop_size())
+    most = spp
+    if width * height * spp > SAMPLES_PER_PASS and sensor.sampler().class_name() == "IndependentSampler":
+        # A power of two: only those are the same picture, bit by bit, each time.
+        most = 2 ** (max(SAMPLES_PER_PASS // (width * height), 1).bit_length() - 1)
+    if not sums.can_render(loaded.scene, sensor, most):
+        most = min(most, sums.most_summed(film, loaded.scene.integrator()) * (LONGER if spp > LONG_SUMS else 1))
+    return most
+
+
+def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
+    """Samples per pixel that `render` takes when asked for `spp`: samplers round them in each pass."""
+    sensor = loaded.sensor(camera)
+    if loaded.integrator == WHITTED:
+        if cameras.grid(spp):
+            return spp
+        sets = -(-spp // sums.most_summed(sensor.film(), loaded.scene.integrator()))
+        taken = cameras.samples_taken(sensor.sampler().clone(), wanted := -(-spp // sets))
+        return spp if taken == wanted else sets * taken
+    whole, rest = divmod(spp, n := min(_pass_spp(loaded, sensor, spp), spp))
+    return sum(k * cameras.samples_taken(sensor.sampler().clone(), m) for k, m in ((whole, n), (1, rest)) if m and k)
 
 
 @contextlib.contextmanager
@@ -276,7 +332,9 @@ def _bands(scene, sensor, spp, seed, rows):
 
 
 def _render(scene, sensor, spp, seed) -> np.ndarray:
-    image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+    many = spp > sums.most_summed(sensor.film(), scene.integrator()) and sums.can_render(scene, sensor, spp)
+    image = sums.render(scene, sensor, spp, seed) if many else mi.render(scene, sensor=sensor, spp=spp, seed=seed)
+    image = np.array(image)
     return image if image.ndim == 3 else image[:, :, None]
 
 

@@ -115,11 +115,19 @@ def render(path: Path, row: Row, settings: Settings, output: Path, packed: str =
     subject = replace(subject, scene=packed or subject.scene, defines=tuple(sorted(row.defines)))
     samples = planning.samples_of(loaded, subject, settings.spp, settings.seed)
     start = time.perf_counter()
-    image = rendering.render(loaded, camera=settings.camera, spp=settings.spp, seed=settings.seed).image
-    seconds, mean = time.perf_counter() - start, metrics.energy(image)
+    made = rendering.render(loaded, camera=settings.camera, spp=settings.spp, seed=settings.seed)
+    seconds, mean = time.perf_counter() - start, _energy(made)
     record = json.dumps({"key": row.key, "seconds": seconds, "mean": mean})
-    images.write(output, image, metadata={RECORD: record, **parts.metadata(subject, [samples])})
+    said = {RECORD: record, **parts.metadata(subject, [samples])}
+    images.write(output, made.image, channels=made.channels, metadata=said)
     return seconds, mean
+
+
+def _energy(made: rendering.Rendering) -> float:
+    """Mean over the pixels and the channels of the colour; of a film of bands over all of them."""
+    if images.color_channels(made.channels):
+        return metrics.energy(images.color(made.image, made.channels))
+    return float(made.image.mean(dtype=np.float64))
 
 
 def told(row: Row, folder: Path) -> Row | None:

@@ -94,7 +94,7 @@ class Assignment:
         if size:
             rendering.resize(self.loaded, camera, *size)
         self.sensor = self.loaded.sensor(camera)
-        self.rendering = rendering.render(self.loaded, camera=camera, spp=spp, seed=seed)
+        self.rendering = rendering.render(self.loaded, camera=camera, spp=spp, seed=seed, color=True)
         image = metrics.colors(self.rendering.image)
         bad = metrics.nonfinite(image)
         if bad:
@@ -116,22 +116,16 @@ class Assignment:
             words = str(error).removeprefix(f"{Path(file).name}: ").removeprefix(f"{file}: ")
             words = f"{words or 'the picture does not fit into memory'}."
             return Checked(Grade(name, UNREADABLE, 0.0, words, None, None, (), False, ()))
+        if picture.weighted is not None:
+            # Some programs store colours that were multiplied with alpha already. What fits better was meant.
+            readings = (picture.weighted, picture)
+            picture = min(readings, key=lambda reading: self._compared(reading)[0].wrong.sum())
         return self.check_picture(name, picture)
 
     def check_picture(self, name: str, picture: Picture) -> Checked:
         """Compare a picture that has been read, called `name`, with the rendering, and explain what is wrong."""
         encoding = picture.encoding
-        expected = encoding.encode(self.image)
-        step = self.options.tolerance / 255
-        allowed = step + encoding.loss(expected)
-        # Floating point goes beyond 1, where the same part of the value is allowed.
-        relative = 0.0 if encoding.step else step
-        # Told in the numbers that the file holds: of 8 bits, 0 to 255.
-        unit = round(1 / encoding.step) if encoding.step else 1
-        verdict = compare(
-            picture.values * unit, expected * unit, absolute=allowed * unit, relative=relative,
-            edges=self.options.edges,
-        )  # fmt: skip
+        verdict, expected, allowed, relative = self._compared(picture)
         notes, diagnosis = list(picture.notes), None
         if not verdict.passed and self.options.diagnose:
             try:
@@ -149,6 +143,22 @@ class Assignment:
             named and _told(named), tuple(map(_told, candidates)), diagnosis is not None, tuple(notes),
         )  # fmt: skip
         return Checked(grade, picture, expected, verdict.excess, candidates)
+
+    def _compared(self, picture: Picture):
+        """The verdict on a picture, what was expected, and what was allowed: absolutely, and as part of the value."""
+        encoding = picture.encoding
+        expected = encoding.encode(self.image)
+        step = self.options.tolerance / 255
+        allowed = step + encoding.loss(expected)
+        # Floating point goes beyond 1, where the same part of the value is allowed.
+        relative = 0.0 if encoding.step else step
+        # Told in the numbers that the file holds: of 8 bits, 0 to 255.
+        unit = round(1 / encoding.step) if encoding.step else 1
+        verdict = compare(
+            picture.values * unit, expected * unit, absolute=allowed * unit, relative=relative,
+            edges=self.options.edges,
+        )  # fmt: skip
+        return verdict, expected, allowed, relative
 
     def picture_of(self, checked: Checked, explanation: Explanation) -> np.ndarray:
         """The whole picture as a mistake makes it, encoded as the picture that was checked."""

@@ -45,6 +45,8 @@ class Encoding:
     srgb: bool = False
     jpeg: Mapping[str, object] | None = None
     """The JPEG tables it was compressed with."""
+    spread: np.ndarray | None = field(default=None, compare=False)
+    """How far values can be off that were weighted by alpha, (height, width, 1)."""
 
     def encode(self, image: np.ndarray) -> np.ndarray:
         """Linear values as this file would store them, not rounded: integers hold 0 to 1 only."""
@@ -62,6 +64,8 @@ class Encoding:
 
         Half a step; for JPEG also 1.5 times the largest change that the same compression makes in the same block.
         """
+        if self.spread is not None:
+            return self.spread
         if self.jpeg is None:
             return np.full((1, 1, 1), self.step / 2)
         change = np.abs(_compressed(image, self.jpeg) - image).max(axis=-1)
@@ -76,6 +80,8 @@ class Picture:
     """(height, width, 3), float64, encoded."""
     encoding: Encoding = field(default_factory=Encoding)
     notes: tuple[str, ...] = ()
+    weighted: "Picture | None" = None
+    """Of a file of integers that is partly transparent: its colours times alpha, over black, as a film has them."""
 
 
 def read(path: Path, *, linear: bool = False, size: tuple[int, int] | None = None) -> Picture:
@@ -197,8 +203,23 @@ def _sixteen_bits(path: Path) -> np.ndarray:
 def _integers(path: Path, array: np.ndarray, linear: bool, jpeg=None) -> Picture:
     array = array if array.ndim == 3 else array[..., None]
     largest = np.iinfo(array.dtype).max
-    values = _three_channels(path, array / largest)
-    return Picture(values, Encoding(1 / largest, not linear, jpeg), _alpha_note(array / largest))
+    stored, encoding = array / largest, Encoding(1 / largest, not linear, jpeg)
+    picture = Picture(_three_channels(path, stored), encoding, _alpha_note(stored))
+    return replace(picture, weighted=_weighted(picture, stored[..., -1:])) if picture.notes else picture
+
+
+def _weighted(picture: Picture, alpha: np.ndarray) -> Picture:
+    """What a picture adds to black, and how far that can be off: neither colours nor alpha are stored exactly."""
+    encoding, half = picture.encoding, picture.encoding.step / 2
+
+    def shown(off: float) -> np.ndarray:
+        colors, weights = (np.clip(x + off, 0, 1) for x in (picture.values, alpha))
+        return encoding.encode(encoding.decode(colors) * weights)
+
+    values = shown(0)
+    spread = np.maximum(shown(half) - values, values - shown(-half)).max(axis=-1, keepdims=True)
+    note = "the picture is partly transparent: it was compared as it looks over black"
+    return Picture(values, replace(encoding, jpeg=None, spread=np.maximum(spread, half)), (note,))
 
 
 def _three_channels(path: Path, image: np.ndarray) -> np.ndarray:

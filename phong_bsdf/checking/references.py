@@ -135,7 +135,7 @@ def _renderer(scene, options: Options):
     spp = options.spp or loaded.sensor(options.camera).sampler().sample_count()
 
     def render(seed: int, parts: int) -> np.ndarray:
-        return rendering.render(loaded, camera=options.camera, spp=-(-spp // parts), seed=seed).image
+        return rendering.render(loaded, camera=options.camera, spp=-(-spp // parts), seed=seed, color=True).image
 
     return render
 

@@ -31,10 +31,12 @@ def merge(given, outputs, linear, mixed_versions):
             show("reading", 0)
             found = parts.ordered(parts.read(path) for path in files.values())
             parts.check(found, mixed_versions=mixed_versions)
+            for path in outputs:
+                images.check_channels(path, found[0].channels)
             mean = parts.merged(found, lambda share: show("merging", share))
             image, metadata = mean.image(), parts.merged_metadata(found)
             for path in outputs:
-                images.write(path, image, linear=linear, metadata=metadata)
+                images.write(path, image, channels=found[0].channels, linear=linear, metadata=metadata)
     from .passes import percent
 
     width, height = found[0].subject.size

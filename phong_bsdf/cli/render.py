@@ -24,7 +24,10 @@ from .session import errors, progress, start
 @cluster_options
 def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, linear, folder, pass_spp, target_error,
            resume, cluster, verbose):  # fmt: skip
-    """Render a Mitsuba XML SCENE."""
+    """Render a Mitsuba XML SCENE.
+
+    An .exr file holds all channels under the names that Mitsuba gives them, a .png file the colour.
+    """
     with errors():
         from .. import images
 
@@ -47,6 +50,7 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
             show("loading", 0)
             loaded, subject = planning.load(scene, dict(defines), camera=camera, size=size)
             picture = Picture(outputs, linear, loaded, subject)
+            picture.check()
             if folder is None:
                 said = picture.at_once(spp or 0, seed, show)
             else:
@@ -62,7 +66,17 @@ class Picture:
     """The files that a command writes, and the scene that they show."""
 
     def __init__(self, outputs, linear, loaded, subject):
+        from .. import rendering
+
         self.outputs, self.linear, self.loaded, self.subject = outputs, linear, loaded, subject
+        self.channels = rendering.channels(loaded, subject.camera)
+
+    def check(self) -> None:
+        """ValueError where a file cannot hold the picture's channels."""
+        from .. import images
+
+        for path in self.outputs:
+            images.check_channels(path, self.channels)
 
     def at_once(self, spp: int, seed: int, show) -> str:
         """Render and write it; a line to say about it."""
@@ -84,7 +98,8 @@ class Picture:
         from .. import images, parts
 
         for path in self.outputs:
-            images.write(path, image, linear=self.linear, metadata=parts.metadata(self.subject, samples))
+            said = parts.metadata(self.subject, samples)
+            images.write(path, image, channels=self.channels, linear=self.linear, metadata=said)
 
     def summary(self, spp: int, lights: int) -> str:
         """Files, size, samples, lights, variant."""

@@ -31,11 +31,11 @@ def render_pass(path: Path, size: tuple[int, int] | None, plan: Plan, index: int
     scene, subject = loaded(path, plan.subject.camera, size)
     running.check_subject(plan, subject)
     start = time.perf_counter()
-    image = running.render_pass(scene, plan, index).image
+    made = running.render_pass(scene, plan, index)
     with tempfile.TemporaryDirectory() as name:
         folder = Folder(Store(Path(name)), plan)
         folder.store.passes.mkdir()
-        folder.write(index, image, time.perf_counter() - start)
+        folder.write(index, made.image, time.perf_counter() - start, made.channels)
         return folder.path(index).read_bytes()
 
 
@@ -94,6 +94,7 @@ def render(
                 orders.add(order(mean.count))
                 finished -= 1
                 break
+            mean.judged = folder.judged(mean.count)
             mean.add(image, plan.spp)
             yield mean
         if mean.count == plan.count:

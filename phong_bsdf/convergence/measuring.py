@@ -141,7 +141,7 @@ def timed_rendering(loaded, camera: int, spp: int, seed: int):
     """A rendering, and the seconds from nothing being under way to all of it being done."""
     dr.sync_thread()
     start = time.perf_counter()
-    result = rendering.render(loaded, camera=camera, spp=spp, seed=seed)
+    result = rendering.render(loaded, camera=camera, spp=spp, seed=seed, color=True)
     dr.sync_thread()
     return result, time.perf_counter() - start
 

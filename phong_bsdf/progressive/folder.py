@@ -3,6 +3,7 @@
 The picture depends on the set of finished passes only.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import drjit as dr
@@ -77,12 +78,12 @@ class Folder:
         """Numbers of the passes that have files."""
         return [index for index in range(self.plan.count) if self.has(index)]
 
-    def write(self, index: int, image: np.ndarray, seconds: float = 0.0) -> None:
-        """Keep a finished pass; once it is there, it counts."""
+    def write(self, index: int, image: np.ndarray, seconds: float = 0.0, channels: Sequence[str] | None = None) -> None:
+        """Keep a finished pass; once it is there, it counts. `channels`: their names."""
         samples = self.plan.samples(index)
         made = Pass(samples.spp, samples.seed, index, seconds, 0.0, self.plan.subject.variant,
                     self.plan.subject.versions, machine.described(dr.thread_count()), machine.now())  # fmt: skip
-        self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]))
+        self.store.add(KEY, made, image, parts.metadata(self.plan.subject, [samples]), channels)
 
     def keep(self, index: int, content: bytes) -> None:
         """Keep a pass as the file that `write` made elsewhere."""
@@ -100,10 +101,15 @@ class Folder:
             raise ValueError(f"'{path}' is broken: it has another size")
         return image
 
+    def judged(self, index: int) -> list[int] | None:
+        """Which channels of the pictures an error is told of, by the file of a pass."""
+        return images.judged(images.read_channels(self.path(index)))
+
     def mean(self) -> WeightedMean:
         """The mean of the passes that have files, in the order of their numbers."""
-        mean = WeightedMean()
-        for index in self.finished():
+        finished = self.finished()
+        mean = WeightedMean(self.judged(finished[0]) if finished else None)
+        for index in finished:
             mean.add(self.read(index), self.plan.spp)
         return mean
 

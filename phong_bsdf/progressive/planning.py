@@ -126,9 +126,7 @@ def default_pass_spp(size: tuple[int, int], spp: int) -> int:
 
 def samples_taken(loaded: LoadedScene, camera: int, spp: int) -> int:
     """Samples per pixel that a rendering takes when asked for `spp`."""
-    if loaded.integrator == rendering.WHITTED and cameras.grid(spp):
-        return spp
-    return cameras.samples_taken(loaded.sensor(camera).sampler().clone(), spp)
+    return rendering.samples_taken(loaded, camera, spp)
 
 
 def _draws(loaded: LoadedScene, camera: int, spp: int) -> bool:

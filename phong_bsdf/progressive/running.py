@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .. import camera as cameras
-from .. import parts, rendering
+from .. import images, parts, rendering
 from ..estimates import WeightedMean
 from ..parts import Samples, Subject
 from ..rendering import LoadedScene, Rendering
@@ -44,13 +44,15 @@ def render(
 
     A file that is broken is named to `on_broken`, and its pass rendered again.
     """
-    plan, mean = folder.plan, WeightedMean()
+    plan = folder.plan
+    mean = WeightedMean(images.judged(rendering.channels(loaded, plan.subject.camera)))
     for index in range(plan.count):
         image = on_disk(folder, index, on_broken)
         if image is None:
             start = time.perf_counter()
-            image = render_pass(loaded, plan, index, lambda share: on_progress((index + share) / plan.count)).image  # noqa: B023
-            folder.write(index, image, time.perf_counter() - start)
+            made = render_pass(loaded, plan, index, lambda share: on_progress((index + share) / plan.count))  # noqa: B023
+            image = made.image
+            folder.write(index, image, time.perf_counter() - start, made.channels)
         mean.add(image, plan.spp)
         on_progress((index + 1) / plan.count)
         yield mean
