@@ -17,6 +17,9 @@ ROUNDINGS = 4 * 2**-24
 # Cosine below which a ray is moved off the surface along the normal rather than along itself.
 STEEPEST = 0.1
 
+# Instances that stretch more than this, so that a sphere becomes a needle, may have specks of shadow.
+MOST_STRETCH = 16.0
+
 # A sphere this many times larger than the smallest shape, or than the camera's distance
 # from it, is hit so imprecisely that the hit is worth refining.
 LARGE = 50
@@ -34,6 +37,9 @@ class Surfaces:
         curvatures = [_curvature(s) if kind == "Cylinder" else 0.0 for s, kind in zip(shapes, kinds, strict=True)]
         # The shapes inside of instances are not listed: they may be as large as any.
         hidden = "Instance" in kinds
+        self.stretch = max(
+            (_stretch(s) for s, kind in zip(shapes, kinds, strict=True) if kind == "Instance"), default=1
+        )
         self.extent = seen.per_shape("extent", scene, extents, hidden)
         self.curvature = seen.per_shape("curvature", scene, curvatures, hidden)
         # The box of a camera is its position, known without reading an array.
@@ -61,7 +67,8 @@ class Surfaces:
         if self.curvature.largest > 0:
             # A cylinder is intersected from where the ray starts: its error grows with the distance squared.
             size += dr.square(si.t) * self.curvature.at(si, active)
-        return ROUNDINGS * size
+        # An instance is traced in its own space, where a ray is longer by what it squeezes.
+        return ROUNDINGS * (self.stretch**2 * size if self.stretch > 1 else size)
 
     @staticmethod
     def leave(si, direction, tolerance):
@@ -216,6 +223,17 @@ def _curvature(cylinder) -> float:
     """1 / radius."""
     radius = dr.norm(mi.traverse(cylinder)["to_world"] @ mi.Vector3f(1, 0, 0))
     return 1 / (radius[0] if dr.is_jit_v(radius) else radius)
+
+
+def _stretch(instance) -> float:
+    """How many times further an instance stretches in one direction than in another, up to `MOST_STRETCH`."""
+    # Slow to import, and needed here only.
+    import numpy as np
+
+    matrix = np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4, -1)[:3, :3, 0]
+    lengths = np.linalg.svd(matrix, compute_uv=False)
+    shortest = max(lengths[2], lengths[0] / MOST_STRETCH)
+    return float(lengths[0] / shortest) if shortest > 0 else 1.0
 
 
 def _is_large(box, nearest: float, cameras) -> bool:

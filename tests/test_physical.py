@@ -166,6 +166,19 @@ def test_direct_inside_of_instances():
     equal(whitted(scene), direct(scene), 1e-4)
 
 
+@pytest.mark.parametrize("scale", ([3.2, 0.44, 0.32], [0.3, 0.9, 2.0], [1.0, 1.0, 0.25]))
+def test_stretched_instances_cast_no_specks(scale):
+    """A ball as an ellipsoid is lit as `direct` has it: its own roundings do not shade it."""
+    objects = {
+        "group": {"type": "shapegroup", "a": ball((0, 0, 0), 1.9, SMOOTH["phong"])},
+        "instance": {"type": "instance", "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], 30).scale(scale),
+                     "shapes": {"type": "ref", "id": "group"}},
+        "light": LIGHTS["point"],
+    }  # fmt: skip
+    scene = load(camera((-4, 7, 2), (0, 0, 0), 64, 64), **objects)
+    equal(whitted(scene), direct(scene), 1e-3, edges=0.001)
+
+
 def test_depth_one_is_dark():
     """max_depth 1 is emitters alone, 2 the lights: more changes nothing without mirrors, as in `direct`."""
     scene = smooth_scene(light=LIGHTS["point"])
