@@ -101,8 +101,11 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
     try:
         with files_beside(path):
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
-            return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
-    except RuntimeError as error:
+            made = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
+        # Our BSDFs look now at what their constructors could not look at (`parameters.py`).
+        mi.traverse(made)
+        return made
+    except (RuntimeError, ValueError) as error:
         raise SceneError(sentence(error, path)) from None
 
 

@@ -93,6 +93,7 @@ class Whitted(Base):
         super().__init__(props)
 
     def traverse(self, cb):
+        self.ambient.settle()
         cb.put("ambient", self.ambient.texture, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
@@ -118,6 +119,7 @@ class Whitted(Base):
 
     def tracer(self, scene, mode=None):
         """What renders `scene`; `mode` is None or that of a derivative."""
+        self.ambient.settle()
         return Tracer(
             scene,
             self.memory,
