@@ -38,12 +38,17 @@ CONSTANT = (
 settling = threading.RLock()
 
 
+def is_recorded() -> bool:
+    """Whether a loop, a call or a frozen function is being recorded."""
+    return dr.is_jit_v(mi.Float) and (dr.flag(dr.JitFlag.SymbolicScope) or dr.flag(dr.JitFlag.FreezingScope))
+
+
 def unrecorded(look) -> None:
-    """Call `look`, which reads arrays, also while a loop, a call or a frozen function is recorded.
+    """Call `look`, which reads arrays, also while something is recorded.
 
     What is recorded cannot be read, but each thread records for itself: then another one looks.
     """
-    if not dr.is_jit_v(mi.Float) or not (dr.flag(dr.JitFlag.SymbolicScope) or dr.flag(dr.JitFlag.FreezingScope)):
+    if not is_recorded():
         look()
         return
     errors = []

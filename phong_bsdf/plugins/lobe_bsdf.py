@@ -7,7 +7,7 @@ import mitsuba as mi
 
 from phong_bsdf import energy, lobes
 from phong_bsdf.materials import SERIALS, Material
-from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter, settling, unrecorded
+from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter, is_recorded, settling, unrecorded
 from phong_bsdf.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
 
 
@@ -43,7 +43,7 @@ class LobeBSDF(mi.BSDF):
         known = bool(self.diffuse.known and self.specular.known)
         if known:
             self._apply_energy_rule()
-        self.unsettled = any(p.unseen for p in self.parameters)
+        self.unsettled, self.refused = any(p.unseen for p in self.parameters), False
         # A warning waits, too: Mitsuba may be about to say something on another thread, and to ask Python for it.
         self.unsettled |= self.conserves_energy and (not known or self.scale != 1)
         self._find_components()
@@ -62,10 +62,12 @@ class LobeBSDF(mi.BSDF):
 
     def settle(self):
         """Before the first use: look at what the constructor could not. ValueError for a constant out of its range."""
-        if not self.unsettled:
+        # Dr.Jit asks every BSDF that is alive. One that was refused is not to spoil the pictures of other scenes.
+        if not self.unsettled or (self.refused and is_recorded()):
             return
         with settling:
             if self.unsettled:
+                self.refused = True
                 unrecorded(self._look)
                 if dr.flag(dr.JitFlag.FreezingScope):
                     # A recording knows no array that was made elsewhere. The next one finds the scale as a number.

@@ -7,7 +7,7 @@ import mitsuba as mi
 
 from phong_bsdf.materials import SERIALS
 from phong_bsdf.needs import MIRRORLESS
-from phong_bsdf.parameters import FAINT, Parameter, settling
+from phong_bsdf.parameters import FAINT, Parameter, is_recorded, settling
 
 ALL_COMPONENTS = 0xFFFFFFFF  # BSDFContext.component's default
 
@@ -51,14 +51,15 @@ class MirrorBlend(mi.BSDF):
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
         self.serial = None if getattr(self.nested, "serial", None) is None else next(SERIALS)
-        self.unsettled = self.km.unseen or getattr(self.nested, "unsettled", False)
+        self.unsettled, self.refused = self.km.unseen or getattr(self.nested, "unsettled", False), False
         self._find_components()
 
     def settle(self):
         """Before the first use: look at what the constructor could not. ValueError for a constant out of its range."""
-        if not self.unsettled:
+        if not self.unsettled or (self.refused and is_recorded()):
             return
         with settling:
+            self.refused = True
             self.km.settle()
             if hasattr(self.nested, "settle"):
                 self.nested.settle()
