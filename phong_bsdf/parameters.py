@@ -249,7 +249,7 @@ class Parameter:
 
     def _known(self, props, default: float, numbers: list[float]) -> tuple[float, ...] | None:
         """The channels of a number, or of a colour in RGB, as the texture will hold them."""
-        if self.name in props and not numbers or len(numbers) > 1 and not mi.is_rgb:
+        if (self.name in props and not numbers) or (len(numbers) > 1 and not mi.is_rgb):
             return None
         return tuple(mi.ScalarColor1f(min(x, self.largest))[0] for x in numbers or [default])
 

@@ -183,7 +183,7 @@ def render(
 
 @contextlib.contextmanager
 def undisturbed():
-    """Garbage waits: to free a dead scene is to wait for the threads, of which one may wait for Python to make a BSDF."""
+    """Garbage waits: to free a dead scene is to wait for threads, of which one may wait for Python to make a BSDF."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -161,25 +161,40 @@ def test_our_loading_functions_look_at_once(tmp_path):
 
 
 def scene_with_textures(folder):
-    """Eight EXR files under ten BSDFs of the package, of which adapters hold some."""
+    """Eight small EXR files under some of ten BSDFs of the package; the others are constant, and need not wait for a
+    file."""
     rng = np.random.default_rng(0)
     for i in range(8):
-        images.write(folder / f"{i}.exr", rng.random((64, 64, 3), dtype=np.float32), linear=True)
+        images.write(folder / f"{i}.exr", rng.random((8, 8, 3), dtype=np.float32), linear=True)
+    images.write(folder / "t.png", rng.random((8, 8, 3), dtype=np.float32), linear=True)
 
-    def texture(name, i):
-        file = f'<string name="filename" value="{i % 8}.exr"/>'
+    def texture(name, file):
+        file = f'<string name="filename" value="{file}"/>'
         return f'<texture type="bitmap" name="{name}">{file}<boolean name="raw" value="true"/></texture>'
 
-    shapes = []
-    for i in range(8):
-        lobe = "".join(texture(n, i + j) for j, n in enumerate(("diffuse_reflectance", "specular_reflectance")))
-        bsdf = f'<bsdf type="{("phong", "blinnphong")[i % 2]}">{lobe}</bsdf>'
-        if i < 2:
-            bsdf = f'<bsdf type="mirrorblend">{texture("km", i + 5)}{bsdf}</bsdf>'
-        bsdf = f'<bsdf type="mask">{texture("opacity", i + 3)}<bsdf type="twosided">{bsdf}</bsdf></bsdf>'
-        shapes.append(f'<shape type="sphere"><point name="center" x="{3 * i}" y="0" z="0"/>{bsdf}</shape>')
+    def constant(i):
+        return f'<bsdf type="blinnphong"><rgb name="kd" value="0.{i + 1}, 0.5, 0.2"/><rgb name="ks" value="1"/></bsdf>'
+
+    def textured(i):
+        lobe = f'<bsdf type="phong">{texture("ks", f"{i}.exr")}{texture("p", f"{i + 1}.exr")}</bsdf>'
+        return f'<bsdf type="mirrorblend">{texture("km", f"{i + 2}.exr")}{lobe}</bsdf>' if i < 6 else lobe
+
+    def blend(i):
+        bumps = f'<bsdf type="normalmap"><rgb name="normalmap" value="0.5, 0.5, 0"/>{constant(i + 1)}</bsdf>'
+        return f'<bsdf type="blendbsdf"><float name="weight" value="0.5"/>{constant(i)}{bumps}</bsdf>'
+
+    bsdfs = [
+        f'<bsdf type="mask">{texture("opacity", "t.png")}<bsdf type="twosided"><bsdf type="bumpmap">'
+        f'{texture("bumps", "t.png")}{blend(0)}</bsdf></bsdf></bsdf>',
+        *(f'<bsdf type="twosided"><bsdf type="normalmap">{texture("normalmap", "t.png")}{textured(i)}</bsdf></bsdf>'
+          for i in (0, 3, 6)),
+        *(f'<bsdf type="twosided">{constant(i)}</bsdf>' for i in (2, 3, 4)),
+    ]  # fmt: skip
+    shapes = [f'<shape type="sphere"><point name="center" x="{3 * i}" y="0" z="0"/>{b}</shape>'
+              for i, b in enumerate(bsdfs)]  # fmt: skip
     xml = folder / "textures.xml"
-    lines = '<integrator type="whitted"/><emitter type="point"/><sensor type="perspective"/>' + "".join(shapes)
+    whitted = '<integrator type="whitted"><float name="ambient" value="0.1"/></integrator>'
+    lines = f'{whitted}<emitter type="point"/><sensor type="perspective"/>{"".join(shapes)}'
     xml.write_text(f'<scene version="3.0.0">{lines}</scene>')
     return xml
 
