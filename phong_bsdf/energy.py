@@ -35,7 +35,9 @@ def factor(largest: float) -> float:
 
 
 def _maxima(parameter) -> list[float]:
-    """Largest value in each channel, or at each of 16 wavelengths."""
+    """Largest value in each channel, or at each of 16 wavelengths; one for all of them where they are alike."""
+    if parameter.known:
+        return list(parameter.known)
     if parameter.texture.class_name() == "MeshAttribute":
         return [0.0]
     params = mi.traverse(parameter.texture)

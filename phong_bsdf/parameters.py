@@ -3,9 +3,14 @@
 A parameter is a number, an RGB colour, a spectrum or a texture; all four arrive as a
 Mitsuba texture. Numbers and colours outside the legal range are errors. A texture's
 values are known only at the hit, so `value` and `value_1` clamp those instead.
+
+Mitsuba makes the objects of a scene on several threads, and a constructor in Python that
+waits for one of them waits for ever. So constructors take numbers from the properties only;
+what arrives as an object is looked at by `settle`, before its first use.
 """
 
 import math
+import threading
 
 import drjit as dr
 import mitsuba as mi
@@ -23,6 +28,44 @@ LARGEST_EXPONENT = 1e15
 
 # Constant textures whose value is the array that they hold, in variants that render RGB.
 PLAIN = ("UniformSpectrum", "SRGBReflectanceSpectrum")
+
+# Mitsuba's constant textures, by the names of their classes. They know their maximum.
+CONSTANT = (
+    *PLAIN, "BlackBodySpectrum", "D65Spectrum", "IrregularSpectrum", "RawConstantTexture", "RegularSpectrum"
+)  # fmt: skip
+
+# Scalar variants render on several threads, and each finds what is not settled yet.
+settling = threading.RLock()
+
+
+def is_recorded() -> bool:
+    """Whether a loop, a call or a frozen function is being recorded."""
+    return dr.is_jit_v(mi.Float) and (dr.flag(dr.JitFlag.SymbolicScope) or dr.flag(dr.JitFlag.FreezingScope))
+
+
+def unrecorded(look) -> None:
+    """Call `look`, which reads arrays, also while something is recorded.
+
+    What is recorded cannot be read, but each thread records for itself: then another one looks.
+    """
+    if not is_recorded():
+        look()
+        return
+    errors = []
+
+    def elsewhere():
+        try:
+            look()
+            # Kernels of this thread may run before those of the other have.
+            dr.sync_thread()
+        except Exception as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    if errors:
+        raise errors[0]
 
 
 class Watch:
@@ -43,38 +86,54 @@ class Watch:
 
 
 class Parameter:
-    """One texture-valued BSDF parameter with its legal range [0, `upper`]."""
+    """One texture-valued BSDF parameter with its legal range [0, `upper`]. Making one evaluates nothing."""
 
     def __init__(self, props, name: str, default: float, upper: float = math.inf, largest: float = LARGEST):
         self.name = name
         self.largest = min(upper, largest)
         numbers = self._check(props, name, upper)
+        self.known = self._known(props, default, numbers)
+        """The channels, until the value is changed; None where they are not known from the properties."""
         # Only a colour up to 1 is a reflectance, with the spectrum that native BSDFs would give it.
         get = props.get_texture if max(numbers, default=1) <= 1 else props.get_unbounded_texture
         self.texture = get(name, default)
-        self.varies = self.texture.is_spatially_varying() or not _has_maximum(self.texture)
+        self.varies = self.texture.is_spatially_varying() or self.texture.class_name() not in CONSTANT
         self._three_channels = self.varies and _has_three_channels(self.texture)
         self.plugin, self.upper = props.plugin_name(), upper
         # They stay those of the texture, also after an update.
         params = mi.traverse(self.texture)
         self.arrays = [params[key] for key in params.keys() if dr.is_jit_v(params[key])]  # noqa: SIM118
-        self.changed()
+        # Of a colour in other variants than RGB: what it becomes is 0 where it is, and at most its largest channel.
+        given = self.known or numbers
+        self._remember(max(given) if given else None)
+        self.unseen = not (self.varies or given)
+        """Whether this is a constant at whose value nobody has looked yet: a spectrum, or a texture's object."""
+
+    def settle(self) -> None:
+        """Look at a value that the constructor could not look at. ValueError outside of the legal range."""
+        if self.unseen:
+            unrecorded(self.changed)
 
     def changed(self) -> None:
-        """Look at the value: when the scene is loaded, and after a change through `mi.traverse`."""
-        self._differentiated = self._grad_enabled()
+        """Look at the value: when it is first used, and after a change through `mi.traverse`."""
         # Neither a frozen function nor one that is differentiated can look at numbers.
-        blind = self.varies or self._differentiated or dr.flag(dr.JitFlag.FreezingScope)
+        blind = self.varies or self._grad_enabled() or dr.flag(dr.JitFlag.FreezingScope)
+        self.known = None
+        self._remember(None if blind else self.texture.max())
+        if not blind:
+            self._check_constant()
+        self.unseen = False
+
+    def _remember(self, largest: float | None) -> None:
+        """What follows from the value, whose largest channel this is; None where that is not known."""
+        self._differentiated = self._grad_enabled()
         self._recorded = dr.flag(dr.JitFlag.FreezingScope)
         self._watch = None if self.varies or not dr.is_jit_v(mi.Float) else Watch(self.arrays)
         self._seen = self._values() if self._watch is None else None
         self._constant = None
-        largest = None if blind else self.texture.max()
         self._zero = largest == 0
         # Where a derivative needs what a picture does not: 0, and for mirrors 1.
         self._at_edge = self.varies or largest in (0, self.upper)
-        if not blind:
-            self._check_constant()
 
     def changed_by(self, keys) -> None:
         """Look again after an update of `keys`, which may name a texture by its id instead of the parameter."""
@@ -176,6 +235,15 @@ class Parameter:
             numbers = [float(given)]
         elif props.type(name) == mi.Properties.Type.Color:
             numbers = [float(c) for c in given]
+        elif props.type(name) == mi.Properties.Type.Spectrum and given.is_uniform():
+            given = float(given.values[0])
+            numbers = [given]
+        elif props.type(name) == mi.Properties.Type.Spectrum and mi.is_spectral:
+            # As `_check_constant` would refuse them.
+            given = [float(x) for x in given.values]
+            if not all(0 <= x <= self.largest for x in given):
+                raise ValueError(_message(props.plugin_name(), name, upper, given))
+            return []
         else:
             return []
         if not all(0 <= x <= upper and x < math.inf for x in numbers):
@@ -185,8 +253,14 @@ class Parameter:
             props[name] = clamped[0] if isinstance(given, int | float) else mi.ScalarColor3f(clamped)
         return numbers
 
+    def _known(self, props, default: float, numbers: list[float]) -> tuple[float, ...] | None:
+        """The channels of a number, or of a colour in RGB, as the texture will hold them."""
+        if (self.name in props and not numbers) or (len(numbers) > 1 and not mi.is_rgb):
+            return None
+        return tuple(mi.ScalarColor1f(min(x, self.largest))[0] for x in numbers or [default])
+
     def _check_constant(self) -> None:
-        """Constants that arrive as a spectrum, or through an update."""
+        """Constants that arrive as a spectrum or an object, or through an update."""
         params = mi.traverse(self.texture)
         if "value" in params and mi.is_spectral and self.texture.class_name() != "UniformSpectrum":
             return  # Coefficients of a model of spectra, made from a colour that was checked.
@@ -212,15 +286,6 @@ def mean(value):
 def _message(plugin, name, upper, given) -> str:
     wanted = "finite and >= 0" if upper == math.inf else f"in [0, {upper:g}]"
     return f"{plugin}: '{name}' must be {wanted}, got {given}"
-
-
-def _has_maximum(texture) -> bool:
-    """Whether a texture is one of Mitsuba's constants, which know their maximum."""
-    try:
-        texture.max()
-    except RuntimeError:
-        return False
-    return True
 
 
 def _has_three_channels(texture) -> bool:

@@ -10,6 +10,7 @@ the entry point in `pyproject.toml` has the same effect.
 import importlib
 import sys
 
+import drjit as dr
 import mitsuba as mi
 
 from . import llvm
@@ -25,6 +26,9 @@ _loaded_for: str | None = None
 
 def register() -> None:
     """Register the plugins for the active variant, if there is one, and for every later one."""
+    # On one core Dr.Jit has one thread, and with one Mitsuba waits for ever where it reads an EXR file.
+    if dr.thread_count() < 2:
+        dr.set_thread_count(2)
     mi.detail.add_variant_callback(_on_variant_change)
     for name, kind in PLUGINS.items():
         # Mitsuba asks scalar_rgb alone what kind of object a plugin is.

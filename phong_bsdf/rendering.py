@@ -4,6 +4,7 @@ Everything a user can get wrong in a scene is a `SceneError` here.
 """
 
 import contextlib
+import gc
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -105,12 +106,15 @@ def merged(state: "mi.parser.ParserState") -> "mi.parser.ParserState":
 def make(path: Path, state: "mi.parser.ParserState") -> Any:
     """The object that the root of a parsed scene, perhaps changed since, describes."""
     try:
-        with files_beside(path):
+        with files_beside(path), undisturbed():
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
             state = mi.parser.ParserState(state)
             _close_gaps(state)
-            return mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), state)
-    except RuntimeError as error:
+            made = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), state)
+        # Our BSDFs look now at what their constructors could not look at (`parameters.py`).
+        mi.traverse(made)
+        return made
+    except (RuntimeError, ValueError) as error:
         raise SceneError(sentence(error, path)) from None
 
 
@@ -228,6 +232,18 @@ def render(
     return Rendering(
         image, str(mi.variant()), spp, seed, count_lights(loaded), compiling.seconds, seconds, compiling.happened, names
     )
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Garbage waits: to free a dead scene is to wait for threads, of which one may wait for Python to make a BSDF."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 @contextlib.contextmanager

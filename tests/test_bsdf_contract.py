@@ -238,11 +238,17 @@ def test_bad_parameters_are_errors_at_load(bsdf, message):
     ],
 )
 def test_bad_constants_are_errors_however_they_come(bsdf, parameter, bad, any_variant):
-    """As a spectrum, and through an update, too."""
+    """As a spectrum, and through an update, too; what arrives as an object, at the first look at it."""
     message = f"{bsdf['type']}: '{parameter}' must be"
-    for kind in ("spectrum", "uniform"):
+    with pytest.raises(RuntimeError, match=message):
+        mi.load_dict({**bsdf, parameter: {"type": "spectrum", "value": bad}})
+    made = mi.load_dict({**bsdf, parameter: {"type": "uniform", "value": bad}})
+    for look in (mi.traverse, lambda made: made.eval(mi.BSDFContext(), interaction(incidence(0)), incidence(0), True)):
+        with pytest.raises(ValueError, match=message):
+            look(made)
+    if mi.is_spectral:
         with pytest.raises(RuntimeError, match=message):
-            mi.load_dict({**bsdf, parameter: {"type": kind, "value": bad}})
+            mi.load_dict({**bsdf, parameter: {"type": "spectrum", "value": [(400.0, 0.1), (700.0, bad)]}})
     params = mi.traverse(mi.load_dict({**bsdf, parameter: 0.5}))
     params[f"{parameter}.value"] = bad
     with pytest.raises(ValueError, match=message):

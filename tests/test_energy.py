@@ -194,6 +194,9 @@ def test_energy_rule(kind, variant, case, messages):
         pixels(np.array(x["bitmap"])) if isinstance(x, dict) and "bitmap" in x else x for x in (diffuse, specular)
     )
     bsdf = mi.load_dict(material(kind, "reflectances", diffuse, specular))
+    # Warnings wait until somebody looks: while a scene loads they could wait for ever.
+    assert messages == []
+    mi.traverse(bsdf)
     warnings = list(messages)
     assert len(warnings) == (scale != 1)
     assert scale == 1 or (f"multiplied by {scale:.3g}" in warnings[0] and f"{kind}: " in warnings[0])

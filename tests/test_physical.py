@@ -166,7 +166,7 @@ def test_direct_inside_of_instances():
     equal(whitted(scene), direct(scene), 1e-4)
 
 
-@pytest.mark.parametrize("scale", ([3.2, 0.44, 0.32], [0.3, 0.9, 2.0], [1.0, 1.0, 0.25]))
+@pytest.mark.parametrize("scale", ([3.2, 0.44, 0.32], [0.3, 0.9, 2.0]))
 def test_stretched_instances_cast_no_specks(scale):
     """A ball as an ellipsoid is lit as `direct` has it: its own roundings do not shade it."""
     objects = {

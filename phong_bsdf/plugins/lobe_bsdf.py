@@ -8,7 +8,7 @@ import mitsuba as mi
 from phong_bsdf import arguments, energy, lobes
 from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS, Material
-from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter
+from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter, is_recorded, settling, unrecorded
 from phong_bsdf.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
 
 
@@ -41,14 +41,13 @@ class LobeBSDF(mi.BSDF):
         self.scale, self.scale_array = 1.0, mi.Float(1)
         # Here Dr.Jit finds the table's array when it freezes a function; inside of a helper object it would not.
         self.albedo_ratios = None
+        known = bool(self.diffuse.known and self.specular.known)
+        if known:
+            self._apply_energy_rule()
+        self.unsettled, self.refused = any(p.unseen for p in self.parameters), False
+        # A warning waits, too: Mitsuba may be about to say something on another thread, and to ask Python for it.
+        self.unsettled |= self.conserves_energy and (not known or self.scale != 1)
         self._find_components()
-        self._apply_energy_rule()
-        if self.scale != 1:
-            mi.Log(
-                mi.LogLevel.Warn,
-                f"{self.NAME}: '{names[0]}' + '{names[1]}' exceed 1, so both are multiplied by {self.scale:.3g}; "
-                f"set '{ENERGY}' to false to keep them",
-            )
 
     @property
     def lobe(self):
@@ -62,7 +61,35 @@ class LobeBSDF(mi.BSDF):
         self.albedo_ratios = table.ratios
         return table
 
+    def settle(self):
+        """Before the first use: look at what the constructor could not. ValueError for a constant out of its range."""
+        # Dr.Jit asks every BSDF that is alive. One that was refused is not to spoil the pictures of other scenes.
+        if not self.unsettled or (self.refused and is_recorded()):
+            return
+        with settling:
+            if self.unsettled:
+                self.refused = True
+                unrecorded(self._look)
+                if dr.flag(dr.JitFlag.FreezingScope):
+                    # A recording knows no array that was made elsewhere. The next one finds the scale as a number.
+                    self.scale_array = mi.Float(self.scale)
+                self.unsettled = False
+                self._find_components()
+
+    def _look(self):
+        for parameter in self.parameters:
+            if parameter.unseen:
+                parameter.changed()
+        self._apply_energy_rule()
+        if self.scale != 1:
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"{self.NAME}: '{self.diffuse.name}' + '{self.specular.name}' exceed 1, so both are multiplied by "
+                f"{self.scale:.3g}; set '{ENERGY}' to false to keep them",
+            )
+
     def traverse(self, cb):
+        self.settle()
         for parameter in self.parameters:
             cb.put(parameter.name, parameter.texture, mi.ParamFlags.Differentiable)
 
@@ -131,6 +158,7 @@ class LobeBSDF(mi.BSDF):
 
     def refresh(self):
         """Take in what has changed without a call of `parameters_changed`."""
+        self.settle()
         if any(parameter.refresh() for parameter in self.parameters):
             self.parameters_changed([])
 
@@ -182,6 +210,7 @@ class LobeBSDF(mi.BSDF):
         return diffuse and (self.sampling == MIXTURE or not glossy), glossy
 
     def _scaled(self, value):
+        self.settle()
         return value * self.scale_array if self.conserves_energy else value
 
     def _glossy_share(self, si, p, active):
@@ -201,6 +230,7 @@ class LobeBSDF(mi.BSDF):
         # As above. By the length of the list Dr.Jit also sees that a recording that left something out is of no use.
         self.textures = [self.exponent.texture, self.specular.texture, self.diffuse.texture]
         self.textures += [self.diffuse.texture] * self.shown[0] + [self.specular.texture] * (2 * self.shown[1])
+        self.textures += [self.diffuse.texture] * (4 * self.unsettled)
         kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
         flags = int(mi.BSDFFlags.FrontSide)
         if any(parameter.varies for parameter in self.parameters):
@@ -213,6 +243,7 @@ class LobeBSDF(mi.BSDF):
 
     def _enabled(self, ctx):
         """Whether the context asks for the diffuse and for the glossy component, and they exist."""
+        self.settle()
         if self.shown != (not self.diffuse.left_out, not self.specular.left_out):
             # A 0 is being differentiated.
             self._find_components()

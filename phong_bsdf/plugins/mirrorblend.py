@@ -9,7 +9,7 @@ from phong_bsdf import arguments
 from phong_bsdf.facing import toward_viewer
 from phong_bsdf.materials import SERIALS
 from phong_bsdf.needs import ALL_COMPONENTS, MIRRORLESS
-from phong_bsdf.parameters import FAINT, Parameter, mean
+from phong_bsdf.parameters import FAINT, Parameter, is_recorded, mean, settling
 
 
 class MirrorBlend(mi.BSDF):
@@ -51,9 +51,23 @@ class MirrorBlend(mi.BSDF):
             raise ValueError(f"mirrorblend: needs exactly one nested BSDF, got {len(nested)}")
         self.nested = nested[0]
         self.serial = None if getattr(self.nested, "serial", None) is None else next(SERIALS)
+        self.unsettled, self.refused = self.km.unseen or getattr(self.nested, "unsettled", False), False
         self._find_components()
 
+    def settle(self):
+        """Before the first use: look at what the constructor could not. ValueError for a constant out of its range."""
+        if not self.unsettled or (self.refused and is_recorded()):
+            return
+        with settling:
+            self.refused = True
+            self.km.settle()
+            if hasattr(self.nested, "settle"):
+                self.nested.settle()
+            self.unsettled = False
+            self._find_components()
+
     def traverse(self, cb):
+        self.settle()
         cb.put("km", self.km.texture, mi.ParamFlags.Differentiable)
         cb.put("nested_bsdf", self.nested, mi.ParamFlags.Differentiable)
 
@@ -67,7 +81,7 @@ class MirrorBlend(mi.BSDF):
         self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
         self.mirrors = not self.km.left_out
         # Here Dr.Jit finds it when it freezes a function, and sees by the length whether it is left out.
-        self.textures = [self.km.texture] * (1 if self.mirrors else 2)
+        self.textures = [self.km.texture] * ((1 if self.mirrors else 2) + 2 * self.unsettled)
         components = nested
         if self.mirrors:
             mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
@@ -150,6 +164,7 @@ class MirrorBlend(mi.BSDF):
 
     def refresh(self):
         """Take in what has changed without a call of `parameters_changed`."""
+        self.settle()
         if hasattr(self.nested, "refresh"):
             self.nested.refresh()
         if self.km.refresh():
@@ -179,6 +194,7 @@ class MirrorBlend(mi.BSDF):
 
     def _split(self, ctx):
         """Whether the mirror is asked for, and the nested BSDF's context (None: it is not asked for)."""
+        self.settle()
         if self.mirrors == self.km.left_out:
             # A 0 is being differentiated.
             self._find_components()

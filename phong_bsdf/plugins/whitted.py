@@ -99,6 +99,7 @@ class Whitted(Base):
         super().__init__(props)
 
     def traverse(self, cb):
+        self.ambient.settle()
         cb.put("ambient", self.ambient.texture, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
@@ -129,6 +130,7 @@ class Whitted(Base):
             said = left_out(scene)
             if said:
                 mi.Log(mi.LogLevel.Warn, said)
+        self.ambient.settle()
         return Tracer(
             scene,
             self.memory,
