@@ -176,8 +176,9 @@ def test_several_kernels(rfilter, lanes, monkeypatch):
     monkeypatch.setattr(camera, "LANES", lanes)
     loaded.scene.integrator().on_progress = shares.append
     parts = made()
-    # Each set of the box filter has the same bits; neighbours are added up in any order.
-    bound = 1e-7 if rfilter == "box" else 3e-6
+    # Sets of the box filter that lie in blocks of two threads may have another last bit (of values up to 2); of other
+    # filters neighbours are added up in any order.
+    bound = 1.2e-7 if rfilter == "box" else 3e-6
     assert np.abs(parts[0] - whole[0]).max() <= bound and whole[0].max() < 2
     # Derivatives of other filters are Mitsuba's own, which sums 4225 samples in float32.
     bound = 1e-6 if rfilter == "box" else 1e-4
