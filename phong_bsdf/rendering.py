@@ -120,9 +120,11 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
 
 def _close_gaps(state: "mi.parser.ParserState") -> None:
     """Ask for meshes without gaps between their triangles, unless the scene says otherwise."""
-    shapes = {node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Shape}
+    shapes = [node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Shape]
+    # Mitsuba puts meshes into a `merge`, and makes triangles of rectangles that become one.
+    triangles = set(shapes) - {*needs.ANALYTIC, "merge"} or ("merge" in shapes and shapes.count("rectangle") > 1)
     root = state.nodes[0]
-    if root.type == mi.ObjectType.Scene and shapes - set(needs.ANALYTIC) and needs.ROBUST not in root.props:
+    if root.type == mi.ObjectType.Scene and triangles and needs.ROBUST not in root.props:
         root.props[needs.ROBUST] = True
         state.nodes[0] = root
 
