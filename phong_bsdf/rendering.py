@@ -102,7 +102,7 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
     try:
         with files_beside(path), undisturbed():
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
-            made = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
+            made: Any = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), mi.parser.ParserState(state))
         # Our BSDFs look now at what their constructors could not look at (`parameters.py`).
         mi.traverse(made)
         return made
