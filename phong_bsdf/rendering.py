@@ -110,7 +110,7 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
             # A copy: Mitsuba puts the objects that it makes into the nodes, and they would live as long as those.
             state = mi.parser.ParserState(state)
             _close_gaps(state)
-            made = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), state)
+            made: Any = mi.parser.instantiate(mi.parser.ParserConfig(str(mi.variant())), state)
         # Our BSDFs look now at what their constructors could not look at (`parameters.py`).
         mi.traverse(made)
         return made

@@ -103,7 +103,7 @@ def test_first_use_is_a_rendering(integrator):
     assert not np.array_equal(pictures[1][0], render(row(bright, {"type": integrator}), seed=0))
 
 
-@pytest.mark.parametrize("first", ("traverse", "eval", "path", "whitted", "load"))
+@pytest.mark.parametrize("first", ("traverse", "eval", "pdf", "albedo", "path", "whitted", "load"))
 @pytest.mark.parametrize("variant", ("llvm_ad_rgb", "scalar_rgb"))
 def test_the_warning_comes_once_and_before_the_first_picture(variant, first, messages, tmp_path):
     """At the first look, with our loading functions at once."""
@@ -119,9 +119,12 @@ def test_the_warning_comes_once_and_before_the_first_picture(variant, first, mes
         scene = mi.load_dict(row([bsdf], {"type": first if first in ("path", "whitted") else "direct"}))
         if first == "traverse":
             mi.traverse(scene)
-        elif first == "eval":
-            si = dr.zeros(mi.SurfaceInteraction3f)
-            scene.shapes()[0].bsdf().eval(mi.BSDFContext(), si, mi.Vector3f(0, 0, 1), True)
+        elif first in ("eval", "pdf", "albedo"):
+            bsdf, si = scene.shapes()[0].bsdf(), dr.zeros(mi.SurfaceInteraction3f)
+            if first == "albedo":
+                bsdf.eval_diffuse_reflectance(si, True)
+            else:
+                getattr(bsdf, first)(mi.BSDFContext(), si, mi.Vector3f(0, 0, 1), True)
         else:
             np.array(mi.render(scene, spp=1))
     warned = [text for text in messages if "multiplied by" in text]
@@ -144,6 +147,19 @@ def test_one_bad_scene_does_not_spoil_others(first):
     assert render(good).mean() > 0
     with pytest.raises(ValueError, match="'kd' must be"):
         mi.traverse(bad)
+
+
+def test_ambient_light_that_is_an_object():
+    """Looked at before the first picture: none is left out of the kernel, and a negative one is refused."""
+    for value, bad in ((0.0, False), (0.5, False), (-1.0, True)):
+        ambient = {"type": "uniform", "value": value}
+        scene = mi.load_dict(row([{"type": "phong"}], {"type": "whitted", "ambient": ambient}))
+        if bad:
+            with pytest.raises(RuntimeError) as error:
+                render(scene)
+            assert "whitted: 'ambient' must be finite and >= 0, got -1" in str(error.value.__cause__)
+        else:
+            assert ("ambient" in scene.integrator().features(scene, scene.sensors()[0], 1)) == (value > 0)
 
 
 def test_our_loading_functions_look_at_once(tmp_path):

@@ -230,7 +230,6 @@ class LobeBSDF(mi.BSDF):
         # As above. By the length of the list Dr.Jit also sees that a recording that left something out is of no use.
         self.textures = [self.exponent.texture, self.specular.texture, self.diffuse.texture]
         self.textures += [self.diffuse.texture] * self.shown[0] + [self.specular.texture] * (2 * self.shown[1])
-        self.textures += [self.diffuse.texture] * (4 * self.unsettled)
         kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
         flags = int(mi.BSDFFlags.FrontSide)
         if any(parameter.varies for parameter in self.parameters):

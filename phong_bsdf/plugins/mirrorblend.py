@@ -81,7 +81,7 @@ class MirrorBlend(mi.BSDF):
         self.nested_lobes = int(self.nested.flags()) & int(mi.BSDFFlags.All)
         self.mirrors = not self.km.left_out
         # Here Dr.Jit finds it when it freezes a function, and sees by the length whether it is left out.
-        self.textures = [self.km.texture] * ((1 if self.mirrors else 2) + 2 * self.unsettled)
+        self.textures = [self.km.texture] * (1 if self.mirrors else 2)
         components = nested
         if self.mirrors:
             mirror = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide) | MIRRORLESS
