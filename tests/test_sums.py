@@ -158,7 +158,7 @@ def test_a_grid_stays_a_grid(rfilter):
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("lanes", [96 * 1024, 5000])
 def test_several_kernels(rfilter, lanes, monkeypatch):
-    """More samples than a kernel should have, by sets or by pixels: the same picture and derivative."""
+    """More samples than a kernel should have, by sets or by pixels: the same picture, and the share done."""
     loaded = rendering.load(LECTURE / "mirror-floor.xml", {"width": "12", "height": "8"})
     place = mi.ScalarTransform4f().look_at([0, 1.6, 8], [0, -0.25, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": 12, "height": 8, "rfilter": {"type": rfilter}}
