@@ -47,10 +47,12 @@ def _rays_at_edges(mesh):
     rng = np.random.default_rng(1)
     d = rng.normal(size=(RAYS, 3))
     d = (d / _length(d)).astype(np.float32)
-    # Where a triangle is seen from behind, the edge may be an outline, which rays may miss.
+    # Where a triangle is seen from behind, or both lie on one side, the edge may be an outline, which rays may miss.
     with np.errstate(divide="ignore", invalid="ignore"):
         cosines = [-(d * normal).sum(axis=1) / _length(normal)[:, 0] for normal in (n, m)]
-    facing = np.minimum(*cosines) > 0.2
+    aside = np.cross(b - a, d)
+    sides = [(aside * (corners[k // 3, (k + 2) % 3] - a)).sum(axis=1) for k in (first, second)]
+    facing = (np.minimum(*cosines) > 0.2) & (sides[0] * sides[1] < 0)
     a, b, d = a[facing], b[facing], d[facing]
     reach = 3 * _length(b - a)
     o = a + rng.uniform(0.05, 0.95, (len(d), 1)) * (b - a) - d * reach

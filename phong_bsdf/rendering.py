@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import camera as cameras
-from . import films, images, needs, soundness, sums, surfaces
+from . import films, images, needs, soundness, sums
 from .scene_errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
@@ -120,19 +120,13 @@ def make(path: Path, state: "mi.parser.ParserState") -> Any:
 
 def _close_gaps(state: "mi.parser.ParserState") -> None:
     """Ask for meshes without gaps between their triangles, unless the scene says otherwise."""
+    shapes = {node.props.plugin_name() for node in state.nodes if node.type == mi.ObjectType.Shape}
+    # A `merge` is what Mitsuba puts meshes into; rectangles in one have no gaps.
+    triangles = shapes - {*needs.ANALYTIC, "merge"}
     root = state.nodes[0]
-    if root.type == mi.ObjectType.Scene and needs.ROBUST not in root.props and _has_triangles(state):
+    if root.type == mi.ObjectType.Scene and triangles and needs.ROBUST not in root.props:
         root.props[needs.ROBUST] = True
         state.nodes[0] = root
-
-
-def _has_triangles(state: "mi.parser.ParserState") -> bool:
-    shapes = {i: node.props.plugin_name() for i, node in enumerate(state.nodes) if node.type == mi.ObjectType.Shape}
-    if set(shapes.values()) - {*needs.ANALYTIC, "merge"}:
-        return True
-    # Mitsuba puts what may be one mesh into a `merge`, and makes one of several rectangles.
-    merged = [surfaces.children(state.nodes[i].props) for i, plugin in shapes.items() if plugin == "merge"]
-    return any([shapes.get(child) for child in parts].count("rectangle") > 1 for parts in merged)
 
 
 def check(path: Path, state: "mi.parser.ParserState") -> None:

@@ -252,10 +252,9 @@ def test_all_that_is_loaded_and_converted_has_the_flag(tmp_path):
     assert not has_gaps(loaded, loaded.shapes())
 
     bare = '<scene version="3.0.0"><integrator type="path"/><bsdf type="diffuse" id="b"/>{}</scene>'
-    shape = '<shape type="{}"><ref id="b"/></shape>'
-    # Mitsuba makes a mesh of two rectangles that have one BSDF.
-    for shapes in (("cube",), ("rectangle", "rectangle"), ("sphere", "cube")):
-        (tmp_path / "bare.xml").write_text(bare.format("".join(map(shape.format, shapes))))
+    shape = '<shape type="{}"><transform name="to_world"><translate x="{}"/></transform><ref id="b"/></shape>'
+    for shapes in (("cube",), ("sphere", "cube"), ("rectangle", "cube")):
+        (tmp_path / "bare.xml").write_text(bare.format("".join(map(shape.format, shapes, (0, 3)))))
         loaded = mi.load_file(str(tmp_path / "bare.xml"))
         assert has_gaps(loaded, [found for found in loaded.shapes() if has_triangles(found)])
         loaded = rendering.load(tmp_path / "bare.xml").scene
