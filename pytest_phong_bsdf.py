@@ -21,7 +21,9 @@ def _choose_llvm() -> None:
     package = importlib.util.find_spec("phong_bsdf")
     if package is None or not package.origin:
         return
-    spec = importlib.util.spec_from_file_location("_phong_bsdf_llvm", Path(package.origin).with_name("llvm.py"))
+    spec = importlib.util.spec_from_file_location(
+        "_phong_bsdf_llvm", Path(package.origin).with_name("host") / "llvm.py"
+    )
     assert spec is not None and spec.loader is not None
     llvm = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(llvm)
@@ -54,7 +56,7 @@ def pytest_configure(config):
         config.addinivalue_line("markers", marker)
     folder = config.getoption("--phong-report")
     if folder is not None:
-        from phong_bsdf import images
+        from phong_bsdf.pictures import images
         from phong_bsdf.report import page
 
         try:
@@ -118,7 +120,7 @@ class RenderCheck:
         import numpy as np
 
         from phong_bsdf.checking import references
-        from phong_bsdf.rendering import SceneError
+        from phong_bsdf.scene.rendering import SceneError
 
         options, known = {**self.defaults, **options}, [field.name for field in fields(references.Options)]
         for unknown in sorted(options.keys() - set(known)):

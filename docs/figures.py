@@ -17,8 +17,11 @@ mi.set_variant("llvm_ad_rgb")
 
 from pages import IMAGES, below, beside, error_map  # noqa: E402
 
-from phong_bsdf import albedo, comparison, images, lobes, rendering  # noqa: E402
+from phong_bsdf import comparison  # noqa: E402
+from phong_bsdf.pictures import images  # noqa: E402
+from phong_bsdf.reflection import albedo, lobes  # noqa: E402
 from phong_bsdf.report import page  # noqa: E402
+from phong_bsdf.scene import rendering  # noqa: E402
 from phong_bsdf.stability import naive  # noqa: E402
 
 SCENES = Path(__file__).parent.parent / "scenes"

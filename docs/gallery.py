@@ -12,7 +12,9 @@ import phong_bsdf  # noqa: F401
 import mitsuba as mi  # isort: skip
 import numpy as np
 
-from phong_bsdf import demo, images, rendering
+from phong_bsdf import demo
+from phong_bsdf.pictures import images
+from phong_bsdf.scene import rendering
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "scenes"

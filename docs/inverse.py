@@ -11,7 +11,7 @@ import drjit as dr  # isort: skip
 import mitsuba as mi
 import numpy as np
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs/inverse-rendering.md"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 from phong_bsdf.report import page
 
 DOCS = Path(__file__).parent

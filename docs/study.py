@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pages
 
-from phong_bsdf import images
 from phong_bsdf.convergence import conclusions, lobe_errors, planning
-from phong_bsdf.passes import Store
+from phong_bsdf.pictures import images
+from phong_bsdf.pictures.store import Store
 from phong_bsdf.report import convergence_tables
 
 ROOT = Path(__file__).parent.parent

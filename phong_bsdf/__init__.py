@@ -4,11 +4,11 @@ Importing the package registers the plugins; it sets no variant. Import it befor
 `mitsuba` where the system's LLVM is one that Dr.Jit cannot use (Debian 12).
 """
 
-from . import llvm
+from .host import llvm
 
 llvm.prepare()
 
-from . import registry  # noqa: E402  (imports mitsuba, which must come after llvm.prepare)
+from .host import registry  # noqa: E402  (imports mitsuba, which must come after llvm.prepare)
 
 __version__ = "0.1.0"
 

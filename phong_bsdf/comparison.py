@@ -8,7 +8,10 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import curves, matching, metrics, needs, rendering, surfaces
+from .pictures import metrics
+from .reflection import curves, matching
+from .scene import rendering, surfaces
+from .tracing import needs
 
 ORIGINAL = "original"
 # The picture with the BSDFs that the user gave one by one.

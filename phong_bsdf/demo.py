@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import rendering
+from .scene import rendering
 
 # A scene that is shown twice, one picture above the other: name -> values of its <default>s.
 TWICE = {"falloff": ({}, {"convention": "physical", "intensity": "91.6"})}

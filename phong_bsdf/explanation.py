@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .camera import CameraSamples
-from .needs import FEATURES, LIGHTS, REQUIRED, is_delta
-from .rendering import WHITTED, LoadedScene, SceneError, resize
+from .scene.rendering import WHITTED, LoadedScene, SceneError, resize
+from .tracing.camera import CameraSamples
+from .tracing.needs import FEATURES, LIGHTS, REQUIRED, is_delta
 
 # Measured pictures have no more samples than this: enough to keep every core busy for some milliseconds.
 MOST_SAMPLES = 2**20

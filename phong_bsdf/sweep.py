@@ -14,8 +14,9 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import fingerprint, images, metrics, parts, rendering
+from .pictures import images, metrics, parts
 from .progressive import planning
+from .scene import fingerprint, rendering
 
 # Columns that a table has besides the parameters.
 COLUMNS = ("file", "seconds", "mean", "error")

@@ -18,7 +18,7 @@ import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip
 import numpy as np
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 # Seconds after which who has not come back waits. Making one plugin takes milliseconds.
 PATIENCE = 10

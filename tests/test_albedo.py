@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import albedo, lobes
+from phong_bsdf.reflection import albedo, lobes
 
 COMBINATIONS = [(lobe, reflectance) for lobe in albedo.LOBES for reflectance in (False, True)]
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phong_bsdf import bundle, images, rendering
-from phong_bsdf.bundle import BundleError
+from phong_bsdf.pictures import images
+from phong_bsdf.scene import bundle, rendering
+from phong_bsdf.scene.bundle import BundleError
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

@@ -11,9 +11,10 @@ import pytest
 from click.testing import CliRunner
 from mitsuba.mitsuba_ext import Bitmap
 
-from phong_bsdf import images, parts, rendering
 from phong_bsdf.checking import references
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images, parts
+from phong_bsdf.scene import rendering
 
 PATH, WHITTED = '<integrator type="path"/>', '<integrator type="whitted"/>'
 AOV = """<integrator type="aov"><string name="aovs" value="dd.y:depth,nn:sh_normal,kd:albedo"/>

@@ -11,10 +11,10 @@ from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
-from phong_bsdf import images
 from phong_bsdf.checking import mistakes
 from phong_bsdf.checking.hits import Material
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images
 from phong_bsdf.report import check as report
 
 WIDTH, HEIGHT = 60, 44

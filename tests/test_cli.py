@@ -13,8 +13,9 @@ import OpenEXR
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images, machine
 from phong_bsdf.cli import main
+from phong_bsdf.host import machine
+from phong_bsdf.pictures import images
 
 COURSE = Path(__file__).parent.parent / "scenes/course/scene-3.xml"
 

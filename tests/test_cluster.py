@@ -15,10 +15,10 @@ import pytest
 from dask_processes import ENVIRONMENT, PATIENCE, free_port, processes, until
 
 import phong_bsdf
-from phong_bsdf import bundle
 from phong_bsdf.cluster import connection, orders, work
 from phong_bsdf.cluster.connection import ClusterError, address, connected
 from phong_bsdf.cluster.orders import Order, Orders
+from phong_bsdf.scene import bundle
 
 pytestmark = pytest.mark.usefixtures("limited")
 

@@ -15,9 +15,9 @@ import pytest
 from click.testing import CliRunner
 from dask_processes import PATIENCE, Processes, end, processes, python, until
 
-from phong_bsdf import images
 from phong_bsdf.cli import clusters, main
 from phong_bsdf.cluster.connection import address, connected
+from phong_bsdf.pictures import images
 
 pytestmark = pytest.mark.usefixtures("limited")
 

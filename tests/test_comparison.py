@@ -14,8 +14,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import comparison, curves, images, matching, metrics, rendering, surfaces
+from phong_bsdf import comparison
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images, metrics
+from phong_bsdf.reflection import curves, matching
+from phong_bsdf.scene import rendering, surfaces
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

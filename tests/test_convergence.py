@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images, metrics, rendering
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import conclusions, measuring, planning, study, tradeoff
-from phong_bsdf.passes import Store
+from phong_bsdf.pictures import images, metrics
+from phong_bsdf.pictures.store import Store
+from phong_bsdf.scene import rendering
 
 SCENE = """\
 <scene version="3.0.0">

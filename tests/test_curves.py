@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import curves, matching
+from phong_bsdf.reflection import curves, matching
 
 
 def blinn(lobe, p, **more):

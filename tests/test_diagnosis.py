@@ -9,8 +9,8 @@ import oracle
 import pytest
 from PIL import Image
 
-from phong_bsdf import rendering
 from phong_bsdf.checking import diagnosis, grading, shading, stage
+from phong_bsdf.scene import rendering
 
 WIDTH, HEIGHT = 100, 75
 

@@ -15,9 +15,10 @@ import pytest
 from click.testing import CliRunner
 from documents import PAGES, ROOT, Block, blocks, headings, links
 
-from phong_bsdf import images, stability
+from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors
+from phong_bsdf.pictures import images
 
 # Blocks in these languages are no code.
 PROSE = ("text", "math", "{toctree}")

@@ -23,7 +23,7 @@ from bsdfs import (
 )
 from small_scenes import render
 
-from phong_bsdf.albedo import directional_albedo
+from phong_bsdf.reflection.albedo import directional_albedo
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phong_bsdf import estimates
+from phong_bsdf.pictures import estimates
 
 SHAPE = (10, 12, 3)
 TRUTH = np.random.default_rng(0).uniform(0.2, 1, SHAPE)

@@ -12,9 +12,9 @@ from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
 from phong_bsdf import explanation
 from phong_bsdf.cli import main
-from phong_bsdf.needs import FEATURES
-from phong_bsdf.rendering import LoadedScene, SceneError
 from phong_bsdf.report import explanation as report
+from phong_bsdf.scene.rendering import LoadedScene, SceneError
+from phong_bsdf.tracing.needs import FEATURES
 
 SPOT = {"spot": {"type": "spot", "to_world": mi.ScalarTransform4f().look_at([0, 5, 5], [0, 0, 0], [0, 1, 0])}}
 GLASS = {"type": "dielectric"}

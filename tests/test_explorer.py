@@ -12,8 +12,9 @@ from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
-from phong_bsdf import images, lobes
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images
+from phong_bsdf.reflection import lobes
 
 READY = "#picture[data-ready]"
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 from small_scenes import look, rgb
 
 from phong_bsdf.checking import shading, stage
-from phong_bsdf.facing import interpolates
+from phong_bsdf.tracing.facing import interpolates
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

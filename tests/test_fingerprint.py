@@ -6,7 +6,7 @@ from pathlib import Path
 import mitsuba as mi
 import pytest
 
-from phong_bsdf import fingerprint, rendering
+from phong_bsdf.scene import fingerprint, rendering
 
 COURSE = Path(__file__).parent.parent / "scenes/course"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 ROOT = Path(__file__).parent.parent
 SCENES = sorted(path for path in (ROOT / "scenes").rglob("*.xml") if path.name != "cameras.xml")

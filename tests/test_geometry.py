@@ -7,11 +7,11 @@ import pytest
 from messages import messages
 from small_scenes import film, look
 
-from phong_bsdf import rendering
-from phong_bsdf.gaps import has_gaps
-from phong_bsdf.geometry import Geometry, Tight, has_triangles
 from phong_bsdf.importers import convert_model
-from phong_bsdf.needs import ROBUST
+from phong_bsdf.scene import rendering
+from phong_bsdf.tracing.gaps import has_gaps
+from phong_bsdf.tracing.geometry import Geometry, Tight, has_triangles
+from phong_bsdf.tracing.needs import ROBUST
 
 WHITE = {"type": "phong", "kd": 1.0, "ks": 0.0}
 T = mi.ScalarTransform4f

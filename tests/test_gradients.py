@@ -14,7 +14,7 @@ import pytest
 from oracle import Light, Scene, Sphere
 from small_scenes import film, look, point, rgb
 
-from phong_bsdf import camera
+from phong_bsdf.tracing import camera
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 
 @pytest.fixture

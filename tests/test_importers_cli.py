@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images
 
 OLD = """\
 <scene version="0.6.0">

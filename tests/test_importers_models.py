@@ -13,7 +13,7 @@ import pytest
 from models import BACK, KD, KS, MTL, NS, VIEW, converting, square, sums
 
 import phong_bsdf  # noqa: F401
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phong_bsdf  # noqa: F401
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 
 VARIANTS = (
     "llvm_ad_rgb",

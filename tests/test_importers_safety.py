@@ -181,7 +181,7 @@ def test_no_file_of_the_input_is_overwritten(tmp_path):
     folder.mkdir()
     (folder / "m.mtl").write_text("newmtl a\nKd 0.5 0.5 0.5\nmap_Kd b.exr\nnewmtl z\nmap_Ks b-kd-0.5.exr\n")
     for name in ("b", "b-kd-0.5"):
-        phong_bsdf.images.write(folder / f"{name}.exr", np.ones((2, 2, 3), np.float32))
+        phong_bsdf.pictures.images.write(folder / f"{name}.exr", np.ones((2, 2, 3), np.float32))
     before = {path: path.read_bytes() for path in folder.iterdir()}
     faces = "".join(f"usemtl {name}\nf 1/1 2/1 3/1\n" for name in "az")
     (tmp_path / "a.obj").write_text(f"mtllib new_files/m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\n{faces}")
@@ -195,8 +195,8 @@ def test_no_file_of_a_scene_is_overwritten(tmp_path):
     """The same for the images of a scene, of which the first is copied under the name of the second."""
     folder = tmp_path / "new_files"
     folder.mkdir()
-    phong_bsdf.images.write(folder / "b.exr", np.ones((2, 2, 3), np.float32))
-    phong_bsdf.images.write(folder / "b-scaled.exr", np.ones((2, 2, 3), np.float32))
+    phong_bsdf.pictures.images.write(folder / "b.exr", np.ones((2, 2, 3), np.float32))
+    phong_bsdf.pictures.images.write(folder / "b-scaled.exr", np.ones((2, 2, 3), np.float32))
     before = (folder / "b-scaled.exr").read_bytes()
     bitmap = '<texture type="bitmap" name="reflectance"><string name="filename" value="new_files/{}.exr"/></texture>'
     shape = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
@@ -281,7 +281,7 @@ STATEMENT = st.one_of(
 @given(st.lists(STATEMENT, max_size=12).map("\n".join), st.sampled_from(["coefficients", "reflectances"]))
 def test_any_mtl_file(tmp_path, statements, vocabulary):
     """Any material becomes a BSDF that Mitsuba loads."""
-    phong_bsdf.images.write(tmp_path / "a.png", np.full((2, 2, 3), 0.5, "float32"))
+    phong_bsdf.pictures.images.write(tmp_path / "a.png", np.full((2, 2, 3), 0.5, "float32"))
     (tmp_path / "m.mtl").write_text(f"newmtl m\n{statements}\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl m\nf 1 2 3\n")
     result = only_conversion_errors(

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import phong_bsdf  # noqa: F401
-from phong_bsdf import images, lobes, rendering
 from phong_bsdf.importers import ConversionError, catalogue, convert_scene, values
+from phong_bsdf.pictures import images
+from phong_bsdf.reflection import lobes
+from phong_bsdf.scene import rendering
 
 SENSOR = """\
 <sensor type="perspective">

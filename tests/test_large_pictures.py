@@ -8,7 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import camera, rendering
+from phong_bsdf.scene import rendering
+from phong_bsdf.tracing import camera
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

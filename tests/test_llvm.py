@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phong_bsdf import llvm
+from phong_bsdf.host import llvm
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere Dr.Jit finds LLVM by itself")
 
@@ -47,7 +47,7 @@ def assert_refused(child):
     """It ended with the exception, not with a signal, and the user reads what to do."""
     assert child.returncode == 1, child.stderr
     message = child.stderr.rstrip().rsplit("\n", 1)[-1]
-    assert message.startswith("phong_bsdf.llvm.LLVMError: phong_bsdf: Dr.Jit has loaded LLVM 1")
+    assert message.startswith("phong_bsdf.host.llvm.LLVMError: phong_bsdf: Dr.Jit has loaded LLVM 1")
     assert "`import phong_bsdf` before `import mitsuba`" in message
     assert f"pip install {llvm.WHEEL}" in message
     assert llvm.VARIABLE in message

@@ -17,8 +17,10 @@ from bsdfs import material, mirror, pixels, row
 from conftest import CPU_VARIANTS
 from small_scenes import render
 
-from phong_bsdf import images, registry, rendering
-from phong_bsdf.scene_errors import SceneError
+from phong_bsdf.host import registry
+from phong_bsdf.pictures import images
+from phong_bsdf.scene import rendering
+from phong_bsdf.scene.errors import SceneError
 
 STOPPED = Path(__file__).parent / "stopped_pool.py"
 

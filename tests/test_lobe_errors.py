@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import passes, stability
+from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors
+from phong_bsdf.pictures import store as passes
 from phong_bsdf.report import lobe_errors as report
 
 

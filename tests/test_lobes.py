@@ -10,8 +10,9 @@ import pytest
 from mpmath_lobes import by_mpmath, numbered_pairs
 from scipy import stats
 
-from phong_bsdf import lobes, stability
-from phong_bsdf.parameters import LARGEST_EXPONENT
+from phong_bsdf import stability
+from phong_bsdf.reflection import lobes
+from phong_bsdf.reflection.parameters import LARGEST_EXPONENT
 from phong_bsdf.stability import exact, inputs
 
 U = 2.0**-24

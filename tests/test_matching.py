@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from phong_bsdf import comparison, curves, matching, surfaces
+from phong_bsdf import comparison
+from phong_bsdf.reflection import curves, matching
+from phong_bsdf.scene import surfaces
 
 
 def blinn(lobe, p, **more):

@@ -7,8 +7,8 @@ import pytest
 from bsdfs import mirror
 from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
-from phong_bsdf.materials import Table
-from phong_bsdf.needs import FEATURES, REQUIRED
+from phong_bsdf.tracing.materials import Table
+from phong_bsdf.tracing.needs import FEATURES, REQUIRED
 
 BRIGHT = {"type": "blinnphong", "diffuse_reflectance": 0.9, "specular_reflectance": 0.8, "exponent": 10.0}
 NORMALIZED = {"type": "phong", "diffuse_reflectance": 0.2, "specular_reflectance": 0.3, "exponent": 3.0}

@@ -8,8 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import rendering
 from phong_bsdf.convergence import methods
+from phong_bsdf.scene import rendering
 
 SCENE = """\
 <scene version="3.0.0">

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from phong_bsdf import metrics
+from phong_bsdf.pictures import metrics
 
 
 @pytest.fixture

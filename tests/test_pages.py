@@ -8,8 +8,8 @@ import pytest
 from browsing import opened
 from click.testing import CliRunner
 
-from phong_bsdf import images
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images
 from phong_bsdf.report import page as pages
 
 pytestmark = pytest.mark.slow

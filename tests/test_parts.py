@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images, parts
 from phong_bsdf.cli import main
-from phong_bsdf.parts import Samples, Subject
+from phong_bsdf.pictures import images, parts
+from phong_bsdf.pictures.parts import Samples, Subject
 
 SUBJECT = Subject("ball.xml", "0123456789abcdef", (("p", "3"),), "path", "llvm_ad_rgb", 1, (8, 6), "phong_bsdf 1")
 

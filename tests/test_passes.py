@@ -6,8 +6,9 @@ import errno
 import numpy as np
 import pytest
 
-from phong_bsdf import images, passes
-from phong_bsdf.passes import Pass, Store
+from phong_bsdf.pictures import images
+from phong_bsdf.pictures import store as passes
+from phong_bsdf.pictures.store import Pass, Store
 
 MADE = Pass(16, 5, 3, 0.25, 1.5, "llvm_ad_rgb", "phong_bsdf 1", "a machine", "now")
 IMAGE = np.random.default_rng(0).normal(0, 1, (6, 8, 3)).astype(np.float32)

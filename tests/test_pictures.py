@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phong_bsdf import images
 from phong_bsdf.checking.pictures import Encoding, PictureError, read
+from phong_bsdf.pictures import images
 
 
 @pytest.fixture

@@ -11,10 +11,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from phong_bsdf import parts, rendering
-from phong_bsdf.passes import Store
+from phong_bsdf.pictures import parts
+from phong_bsdf.pictures.store import Store
 from phong_bsdf.progressive import folder as folders
 from phong_bsdf.progressive import planning, running
+from phong_bsdf.scene import rendering
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.special  # noqa: F401
 
-from phong_bsdf import images
+from phong_bsdf.pictures import images
 from phong_bsdf.report import render_check  # noqa: F401
 
 # Each of them is quick, all of them are not.

@@ -97,8 +97,8 @@ def test_reload(variant):
 
 def test_reload_adds_no_work_to_later_switches():
     """However often the package is reloaded, a switch of variants calls the registry once."""
-    count = "calls, load = [], phong_bsdf.registry._load\n"
-    count += "phong_bsdf.registry._load = lambda variant: (calls.append(variant), load(variant))\n"
+    count = "calls, load = [], phong_bsdf.host.registry._load\n"
+    count += "phong_bsdf.host.registry._load = lambda variant: (calls.append(variant), load(variant))\n"
     switch = "calls.clear()\n" + set_variant("llvm_ad_mono") + "print(calls)\n"
     code = PACKAGE + MITSUBA + set_variant("llvm_ad_rgb") + RELOAD + count + switch
     assert run(code) == "['llvm_ad_mono']\n"

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import images, parts
 from phong_bsdf.cli import main
 from phong_bsdf.cli import passes as command
+from phong_bsdf.pictures import images, parts
 from phong_bsdf.progressive import running
 
 # Each of them is quick, all of them are not.
@@ -313,7 +313,7 @@ def test_full_disk():
 
 def test_two_runs_at_once():
     """The second one is refused."""
-    from phong_bsdf.passes import Store
+    from phong_bsdf.pictures.store import Store
 
     with Store("d").opened():
         assert "another run is writing there" in fails("-o", "a.exr", *OPTIONS, "--passes", "d")

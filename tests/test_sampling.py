@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bsdfs import interaction
 
-from phong_bsdf.albedo import directional_albedo
+from phong_bsdf.reflection.albedo import directional_albedo
 
 VOCABULARIES = {
     "coefficients": ("kd", "ks", "p"),

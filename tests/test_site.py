@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from phong_bsdf.cli import main
+from phong_bsdf.host.registry import PLUGINS
 from phong_bsdf.importers import catalogue
-from phong_bsdf.registry import PLUGINS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

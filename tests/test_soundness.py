@@ -10,8 +10,9 @@ from click.testing import CliRunner
 from messages import messages
 from small_scenes import PHONG, film, look, point
 
-from phong_bsdf import needs, rendering, soundness
 from phong_bsdf.cli import main
+from phong_bsdf.scene import rendering, soundness
+from phong_bsdf.tracing import needs
 
 # Tests refer to line 10, on which stands what they put in.
 SCENE = """\

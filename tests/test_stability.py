@@ -16,8 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath_lobes import by_mpmath, numbered_pairs
 
-from phong_bsdf import lobes, stability
+from phong_bsdf import stability
 from phong_bsdf.cli import main
+from phong_bsdf.reflection import lobes
 from phong_bsdf.report import stability as report
 from phong_bsdf.stability import exact, inputs, measuring, naive
 

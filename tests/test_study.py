@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phong_bsdf.convergence import study, tradeoff
-from phong_bsdf.passes import Pass
+from phong_bsdf.pictures.store import Pass
 
 SHAPE = (10, 12, 3)
 TRUTH = np.random.default_rng(0).uniform(0.2, 1, SHAPE)

@@ -8,9 +8,10 @@ import pytest
 from browsing import opened
 from click.testing import CliRunner
 
-from phong_bsdf import images, stability
+from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors
+from phong_bsdf.pictures import images
 from phong_bsdf.report import lobe_errors as lobe_report
 
 pytestmark = pytest.mark.slow

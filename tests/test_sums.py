@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import camera, images, rendering, sums
 from phong_bsdf.checking import references
 from phong_bsdf.cli import main
-from phong_bsdf.estimates import WeightedMean
+from phong_bsdf.pictures import images
+from phong_bsdf.pictures.estimates import WeightedMean
+from phong_bsdf.scene import rendering
+from phong_bsdf.tracing import camera, sums
 
 LECTURE = Path(__file__).parent.parent / "scenes/lecture"
 VALUE = float(np.float32(0.1))

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from phong_bsdf import fingerprint, images, rendering, sweep
+from phong_bsdf import sweep
 from phong_bsdf.cli import main
+from phong_bsdf.pictures import images
+from phong_bsdf.scene import fingerprint, rendering
 
 SCENE = """\
 <scene version="3.0.0">

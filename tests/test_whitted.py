@@ -11,7 +11,7 @@ import oracle
 import pytest
 from small_scenes import look, point, render, rgb
 
-from phong_bsdf.images import to_8bit
+from phong_bsdf.pictures.images import to_8bit
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .. import rendering
+from ..scene import rendering
 from . import mistakes
 from .hits import Undiagnosable
 from .mistakes import Change, Mistake

@@ -8,8 +8,10 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from .. import metrics, rendering
-from . import EDGES, RIGHT, TOLERANCE, UNREADABLE, WRONG, pictures
+from ..pictures import metrics
+from ..scene import rendering
+from . import pictures
+from .defaults import EDGES, RIGHT, TOLERANCE, UNREADABLE, WRONG
 from .diagnosis import Diagnostician, Explanation
 from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError

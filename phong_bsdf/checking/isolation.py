@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import drjit as dr
 import mitsuba as mi
 
-from ..registry import check_variant
+from ..host.registry import check_variant
 
 
 @contextlib.contextmanager

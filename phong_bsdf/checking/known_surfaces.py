@@ -2,8 +2,8 @@
 
 import mitsuba as mi
 
-from .. import lobes
-from ..facing import children
+from ..reflection import lobes
+from ..tracing.facing import children
 from .hits import Material, Undiagnosable
 
 

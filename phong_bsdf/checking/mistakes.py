@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .. import images
+from ..pictures import images
 from .hits import Material
 
 # More swaps of materials than this are not tried: a scene of many materials has thousands.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import images, metrics
+from ..pictures import images, metrics
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 NPY_MAGIC = b"\x93NUMPY"

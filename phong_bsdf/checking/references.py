@@ -11,7 +11,9 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from .. import __version__, images, rendering
+from .. import __version__
+from ..pictures import images
+from ..scene import rendering
 from .verdict import ALPHA, Sampled, Verdict, compare, compare_noisy, sample
 
 # Seeds of references: no test uses them, or its noise would not be independent.

@@ -9,11 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..facing import is_front
-from ..geometry import Geometry
-from ..lights import Lights
-from ..spawn import Surfaces
-from ..tracer import FAINTEST, MOST_BOUNCES
+from ..tracing.facing import is_front
+from ..tracing.geometry import Geometry
+from ..tracing.lights import Lights
+from ..tracing.spawn import Surfaces
+from ..tracing.tracer import FAINTEST, MOST_BOUNCES
 from .hits import Bounce, Hits, Light, Undiagnosable
 from .known_surfaces import KnownSurface, name_of
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import metrics
+from ..pictures import metrics
 
 # Pixels next to each other share what they see, and a mistake shows in many: means over squares of this side tell a
 # brightness that is off by 1 % where no single pixel can.

@@ -1,4 +1,5 @@
-"""The command `phong-bsdf`: parses, calls, prints. Exit codes: 0 good, 1 a check failed, 2 bad usage or input."""
+"""The command `phong-bsdf`: parses, calls, prints. Exit codes: 0 good, 1 a check failed, 2 bad usage or input. Imports
+anything."""
 
 import click
 

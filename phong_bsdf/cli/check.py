@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from ..checking import EDGES, RIGHT, TOLERANCE, UNREADABLE
+from ..checking.defaults import EDGES, RIGHT, TOLERANCE, UNREADABLE
 from .clusters import cluster_options
 from .options import scene_options
 from .session import errors, progress, start
@@ -81,7 +81,7 @@ def check(pictures, scene, linear, tolerance, edges, diagnose, as_json, gradesco
 
 def _check_outputs(folder, gradescope) -> None:
     """ValueError, before anything is rendered, where the results could not be written."""
-    from .. import images
+    from ..pictures import images
     from ..report import page
 
     if folder:
@@ -111,8 +111,9 @@ def _elsewhere(choice, assignment, defines, files, labels, names, folder, show, 
     """The grades of all pictures, by a cluster. What is no file is graded here."""
     import mitsuba as mi
 
-    from .. import bundle, images
     from ..cluster import checks
+    from ..pictures import images
+    from ..scene import bundle
 
     scene = bundle.pack(assignment.loaded.path, defines, choice.root)
     there = [i for i, file in enumerate(files) if file.is_file()]

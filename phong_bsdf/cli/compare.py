@@ -22,7 +22,7 @@ from .session import errors, progress, start
 def compare(scene, folder, against, choices, variant, defines, spp, size, camera, seed, threads, verbose):
     """Compare a SCENE's Phong and Blinn-Phong surfaces with Mitsuba's physical BSDFs, on one page."""
     with errors():
-        from .. import images
+        from ..pictures import images
         from ..report import page
 
         images.check_folder(folder)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from ..convergence import LEVELS, REPEATS
+from ..convergence.defaults import LEVELS, REPEATS
 from .clusters import cluster_options
 from .options import Levels, MethodSpec, renderer_options
 from .session import errors, progress, start
@@ -43,7 +43,7 @@ def converge(scene, folder, given, levels, repeats, time_budget, reference, draw
              camera, seed, threads, cluster, verbose):  # fmt: skip
     """Measure the error of rendering methods against their time, on a SCENE of yours. Exit 1: a method failed."""
     with errors():
-        from .. import passes
+        from ..pictures import store as passes
         from ..report import page
 
         _check_arguments(scene, folder, drawn, lobes)
@@ -54,7 +54,7 @@ def converge(scene, folder, given, levels, repeats, time_budget, reference, draw
             with progress() as show:
                 failed = _draw(passes.Store(drawn), show)
             sys.exit(1 if failed else 0)
-        from .. import images
+        from ..pictures import images
 
         images.check_folder(folder)
         start(variant, threads, verbose)
@@ -106,7 +106,7 @@ class _Elsewhere:
     """Makes references on a cluster, and lets go of it before anything is timed."""
 
     def __init__(self, choice, scene, defines, show, verbose):
-        from .. import bundle
+        from ..scene import bundle
 
         self.choice, self.show, self.verbose = choice, show, verbose
         self.scene = bundle.pack(scene, defines, choice.root)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from ..vocabulary import VOCABULARIES
+from ..reflection.vocabulary import VOCABULARIES
 from .session import errors, progress, start, to_copy
 
 
@@ -56,7 +56,7 @@ def convert(source, output, vocabulary, camera, root, check):
 
 def _load(scene: Path) -> tuple[bool, str | None]:
     """Whether a scene has a camera, and why Mitsuba does not load it, None if it does."""
-    from .. import rendering
+    from ..scene import rendering
 
     try:
         return bool(rendering.load(scene).scene.sensors()), None

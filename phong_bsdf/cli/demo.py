@@ -18,7 +18,7 @@ from .session import errors, progress, start, to_copy
 def demo(folder, spp, variant, threads, verbose):
     """Render the lecture's pictures, and put their scenes beside them, to be changed."""
     with errors():
-        from .. import images
+        from ..pictures import images
 
         images.check_folder(folder)
         start(variant, threads, verbose)

@@ -5,7 +5,7 @@ import sys
 
 import click
 
-from .. import llvm
+from ..host import llvm
 
 
 @click.command()

@@ -16,13 +16,14 @@ from .session import errors, progress, start
 def explain(scene, folder, variant, defines, spp, size, camera, seed, threads, verbose):
     """Show what the kernel for a SCENE leaves out because the scene does not need it, and what that saves."""
     with errors():
-        from .. import images
+        from ..pictures import images
 
         if folder:
             images.check_folder(folder)
         start(variant, threads, verbose)
-        from .. import explanation, rendering
+        from .. import explanation
         from ..report import explanation as report
+        from ..scene import rendering
 
         with progress() as show:
             show("loading", 0)

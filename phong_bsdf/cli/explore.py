@@ -15,7 +15,7 @@ from .session import errors
 def explore(path, opens):
     """Write the explorer: a page that shades a ball live, with sliders for everything in the formula."""
     with errors():
-        from .. import images
+        from ..pictures import images
         from ..report import explorer
 
         if path.suffix.lower() != ".html" or path.is_dir():

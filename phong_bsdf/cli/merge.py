@@ -19,7 +19,7 @@ def merge(given, outputs, linear, mixed_versions):
     A PART is an .exr file that `phong-bsdf render` wrote, each with its own --seed, or a folder of `render --passes`.
     """
     with errors():
-        from .. import images, parts
+        from ..pictures import images, parts
 
         for path in outputs:
             images.check_writable(path)
@@ -59,7 +59,7 @@ def _files(given) -> dict[Path, Path]:
 
 
 def _passes(folder: Path) -> list[Path]:
-    from ..passes import PICTURE, Store
+    from ..pictures.store import PICTURE, Store
 
     found = Store(folder).files()
     if not found and not (folder / PICTURE).is_file():

@@ -12,8 +12,8 @@ LEAST_SECONDS, TIMES_WRITING = 5, 40
 
 def in_passes(picture, path: Path, *, spp, seed, pass_spp, target, resume, show, elsewhere=None) -> str:
     """Render and write a picture in passes; a line to say about it."""
-    from .. import images
-    from ..passes import Store
+    from ..pictures import images
+    from ..pictures.store import Store
     from ..progressive import folder as folders
     from ..progressive import planning
 
@@ -79,7 +79,7 @@ class _Run:
         return mean.count == self.plan.count
 
     def _summary(self, mean, error, seconds) -> str:
-        from .. import rendering
+        from ..scene import rendering
 
         loaded, there = self.picture.loaded, min(self.there, mean.count)
         return (f"{self.picture.summary(mean.samples, rendering.count_lights(loaded))}; "
@@ -115,7 +115,7 @@ class Elsewhere:
     """Renders passes on a cluster. Inside `with` it is connected."""
 
     def __init__(self, choice, scene, defines, size, verbose, show):
-        from .. import bundle
+        from ..scene import bundle
 
         self.choice, self.size, self.verbose, self.show = choice, size, verbose, show
         self.scene, self.wait = bundle.pack(scene, defines, choice.root), choice.waiting(show)

@@ -29,7 +29,7 @@ def render(scene, outputs, variant, defines, spp, size, camera, seed, threads, l
     An .exr file holds all channels under the names that Mitsuba gives them, a .png file the colour.
     """
     with errors():
-        from .. import images
+        from ..pictures import images
 
         if cluster and folder is None:
             # What comes from elsewhere is kept.
@@ -66,22 +66,22 @@ class Picture:
     """The files that a command writes, and the scene that they show."""
 
     def __init__(self, outputs, linear, loaded, subject):
-        from .. import rendering
+        from ..scene import rendering
 
         self.outputs, self.linear, self.loaded, self.subject = outputs, linear, loaded, subject
         self.channels = rendering.channels(loaded, subject.camera)
 
     def check(self) -> None:
         """ValueError where a file cannot hold the picture's channels."""
-        from .. import images
+        from ..pictures import images
 
         for path in self.outputs:
             images.check_channels(path, self.channels)
 
     def at_once(self, spp: int, seed: int, show) -> str:
         """Render and write it; a line to say about it."""
-        from .. import rendering
         from ..progressive import planning
+        from ..scene import rendering
 
         show("rendering", 0)
         samples = planning.samples_of(self.loaded, self.subject, spp, seed)
@@ -95,7 +95,7 @@ class Picture:
 
     def write(self, image, samples) -> None:
         """Write the files."""
-        from .. import images, parts
+        from ..pictures import images, parts
 
         for path in self.outputs:
             said = parts.metadata(self.subject, samples)

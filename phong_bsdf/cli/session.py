@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from .. import llvm, machine, registry
+from ..host import llvm, machine, registry
 
 
 def start(variant: str | None, threads: int | None, verbose: bool) -> None:

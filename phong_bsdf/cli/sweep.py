@@ -30,7 +30,7 @@ def sweep(scene, folder, parquet, variant, defines, spp, size, camera, seed, thr
     from:to:linN or from:to:logN. Exit 1: some combinations failed; the table says why.
     """
     with errors():
-        from .. import images
+        from ..pictures import images
 
         if not defines:
             raise ValueError("sweep: say what to vary: -D name=values")

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..bundle import Bundle
 from ..checking.grading import Assignment, Grade, Options
 from ..report import check as report
+from ..scene.bundle import Bundle
 from . import work
 from .connection import Cluster, ClusterError
 from .orders import Order, Orders

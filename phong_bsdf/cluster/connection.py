@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import machine
+from ..host import machine
 from . import work
 
 # Of a connection, and of the answers of workers to the first question; who is later is asked again by each order.

@@ -5,14 +5,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from .. import rendering
-from ..bundle import Bundle
-from ..estimates import WeightedMean
-from ..parts import Subject
-from ..passes import Store
+from ..pictures.estimates import WeightedMean
+from ..pictures.parts import Subject
+from ..pictures.store import Store
 from ..progressive import planning, running
 from ..progressive.folder import Folder
 from ..progressive.planning import Plan
+from ..scene import rendering
+from ..scene.bundle import Bundle
 from . import scaling, work
 from .connection import Cluster, ClusterError
 from .orders import Order, Orders

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import drjit as dr
 
-from .. import machine, metrics, rendering
-from ..bundle import Bundle
 from ..convergence import measuring, methods
 from ..convergence.methods import Method
 from ..convergence.planning import Plan, Run
-from ..passes import Store
+from ..host import machine
+from ..pictures import metrics
+from ..pictures.store import Store
+from ..scene import rendering
+from ..scene.bundle import Bundle
 from . import work
 from .connection import Cluster
 from .orders import Order, Orders

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from .. import bundle, images, sweep
+from .. import sweep
+from ..pictures import images
+from ..scene import bundle
 from ..sweep import Row, Settings, Sweep
 from . import work
 from .connection import Cluster

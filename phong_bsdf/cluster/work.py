@@ -16,8 +16,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import __version__, bundle, machine
-from ..bundle import Bundle
+from .. import __version__
+from ..host import machine
+from ..scene import bundle
+from ..scene.bundle import Bundle
 
 # What this process has loaded for the orders of one run.
 _kept = {}

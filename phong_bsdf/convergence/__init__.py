@@ -1,8 +1,4 @@
 """Error against time: `planning`, `measuring`, a `study` of the passes, what time buys (`tradeoff`), `conclusions`.
 
-Here is what the command needs before it loads them.
+Imports `scene` and what is above it, `stability` and `comparison`.
 """
-
-# Samples per pixel to measure at, and passes for each.
-LEVELS = (1, 4, 16, 64)
-REPEATS = 5

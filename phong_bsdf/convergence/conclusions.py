@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import images, metrics
-from ..passes import Pass, Store
+from ..pictures import images, metrics
+from ..pictures.store import Pass, Store
 from . import study, tradeoff
 from .planning import MethodRun, ReferenceRun, Run
 

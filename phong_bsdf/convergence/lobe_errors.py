@@ -12,10 +12,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import estimates, images, machine, passes, stability
-from ..estimates import Estimate
-from ..fingerprint import digest, versions
-from ..passes import Store
+from .. import stability
+from ..host import machine
+from ..pictures import estimates, images
+from ..pictures import store as passes
+from ..pictures.estimates import Estimate
+from ..pictures.store import Store
+from ..scene.fingerprint import digest, versions
 from .study import Spread
 
 EXPONENTS = (1.0, 1e2, 1e4, 1e6, 1e8)

@@ -14,8 +14,10 @@ from collections.abc import Callable, Sequence
 import drjit as dr
 import mitsuba as mi
 
-from .. import fingerprint, machine, metrics, rendering
-from ..passes import Pass, Store
+from ..host import machine
+from ..pictures import metrics
+from ..pictures.store import Pass, Store
+from ..scene import fingerprint, rendering
 from .planning import MethodRun, Plan, ReferenceRun, Run
 
 # Fewer give a reference no error bar worth the name, however short of time.

@@ -11,9 +11,12 @@ from typing import Any
 
 import mitsuba as mi
 
-from .. import comparison, matching, needs, rendering, surfaces
-from ..lobes import LOBES
-from ..vocabulary import MIXTURE, SAMPLINGS
+from .. import comparison
+from ..reflection import matching
+from ..reflection.lobes import LOBES
+from ..reflection.vocabulary import MIXTURE, SAMPLINGS
+from ..scene import rendering, surfaces
+from ..tracing import needs
 
 SAMPLERS = ("independent", "stratified", "multijitter", "ldsampler")
 REFERENCES = ("scene", "own")

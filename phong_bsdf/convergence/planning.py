@@ -10,10 +10,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import camera as cameras
-from .. import fingerprint, images, machine, passes, rendering, surfaces
-from ..passes import Store
-from . import LEVELS, REPEATS, methods
+from ..host import machine
+from ..pictures import images
+from ..pictures import store as passes
+from ..pictures.store import Store
+from ..scene import fingerprint, rendering, surfaces
+from ..tracing import camera as cameras
+from . import methods
+from .defaults import LEVELS, REPEATS
 
 # The reference of random methods: with 32 times the samples of the finest level, its noise is 3 % of that level's.
 REFERENCE_PASSES = 16

@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import estimates, metrics
-from ..estimates import Estimate
-from ..passes import Pass
+from ..pictures import estimates, metrics
+from ..pictures.estimates import Estimate
+from ..pictures.store import Pass
 
 # Errors of a level; the first two without the reference's noise.
 METRICS = ("relmse", "mse", "max_error", "flip")

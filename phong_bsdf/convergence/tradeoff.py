@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import estimates
-from ..estimates import Estimate
+from ..pictures import estimates
+from ..pictures.estimates import Estimate
 from .study import Result, complete_repeats, errors_of
 
 # Columns of a table, at most.

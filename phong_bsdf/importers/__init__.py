@@ -1,5 +1,7 @@
 """Old scenes, made into scenes that Mitsuba 3 loads: Mitsuba 0.x files, and OBJ models with their MTL materials.
 
+Imports `pictures` and what is above it.
+
 `convert_scene` and `convert_model` write the new scene and return a `Conversion`: what was
 changed, and what could not be carried over, line by line.
 """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import images
+from ..pictures import images
 from .paths import Files
 from .records import ConversionError
 

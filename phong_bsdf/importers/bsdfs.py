@@ -3,9 +3,9 @@
 Each rule changes one `<bsdf>` in place. Names are in snake_case by now.
 """
 
-from .. import matching
-from ..energy import CONSERVED
-from ..lobes import LOBES
+from ..reflection import matching
+from ..reflection.energy import CONSERVED
+from ..reflection.lobes import LOBES
 from . import highlights, textures
 from .context import Context
 from .values import color, number, numbers, set_color, to_text

@@ -3,7 +3,7 @@
 Mitsuba refuses a parameter that nothing reads, so what is not listed here is left out of the new scene, and noted.
 """
 
-from ..vocabulary import COEFFICIENTS, ENERGY, REFLECTANCES
+from ..reflection.vocabulary import COEFFICIENTS, ENERGY, REFLECTANCES
 from .context import Context
 
 _TRANSFORM = "to_world"

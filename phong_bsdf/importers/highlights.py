@@ -6,8 +6,8 @@ course renderers that read 0.6's format. Each rule changes one `<bsdf>` in place
 
 import math
 
-from .. import matching
-from ..vocabulary import DEFAULTS, REFLECTANCES
+from ..reflection import matching
+from ..reflection.vocabulary import DEFAULTS, REFLECTANCES
 from . import bake
 from .context import Context
 from .values import color, number, refraction, set_color, to_text

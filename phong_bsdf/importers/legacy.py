@@ -5,8 +5,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from .. import images
-from ..needs import ANALYTIC, ROBUST
+from ..pictures import images
+from ..tracing.needs import ANALYTIC, ROBUST
 from . import bsdfs, catalogue, plugins, textures, transforms, values, xmlfile
 from .context import Context
 from .paths import Files, check_output

@@ -7,7 +7,7 @@ equations (5), glass (4, 6, 7, 9). 0 is a constant colour.
 
 from dataclasses import dataclass
 
-from ..vocabulary import VOCABULARIES
+from ..reflection.vocabulary import VOCABULARIES
 from .maps import Maps
 from .mtl import Material
 from .records import Journal

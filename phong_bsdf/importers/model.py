@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import images
-from ..needs import ROBUST
-from ..vocabulary import VOCABULARIES
+from ..pictures import images
+from ..reflection.vocabulary import VOCABULARIES
+from ..tracing.needs import ROBUST
 from . import meshes, mtl, objfile, xmlfile
 from .legacy import VERSION
 from .maps import Maps

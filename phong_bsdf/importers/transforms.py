@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from .. import needs
+from ..tracing import needs
 from .context import Context
 from .xmlfile import Node
 

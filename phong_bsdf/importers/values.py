@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from .. import images
+from ..pictures import images
 from .records import Journal
 from .xmlfile import Node
 

@@ -5,24 +5,24 @@ import functools
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf import arguments, energy, lobes
-from phong_bsdf.facing import toward_viewer
-from phong_bsdf.materials import SERIALS, Material
-from phong_bsdf.parameters import LARGEST, LARGEST_EXPONENT, Parameter, is_recorded, settling, unrecorded
-from phong_bsdf.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
+from phong_bsdf.reflection import arguments, energy, lobes
+from phong_bsdf.reflection.parameters import LARGEST, LARGEST_EXPONENT, Parameter, is_recorded, settling, unrecorded
+from phong_bsdf.reflection.vocabulary import COEFFICIENTS, COSINE, DEFAULTS, ENERGY, MIXTURE, REFLECTANCES, SAMPLINGS
+from phong_bsdf.tracing.facing import toward_viewer
+from phong_bsdf.tracing.materials import SERIALS, Material
 
 
 @functools.cache
 def _albedo_table(lobe: str, reflectance: bool):
     """One for all BSDFs of a kind. This module is reloaded for each variant, and the cache with it."""
     # Only integrators that sample need it, and NumPy with it.
-    from phong_bsdf import albedo
+    from phong_bsdf.reflection import albedo
 
     return albedo.Table(lobe, reflectance, mi.Float)
 
 
 class LobeBSDF(mi.BSDF):
-    """Base class; the derived class says which lobe of `phong_bsdf.lobes.LOBES` by its `NAME`."""
+    """Base class; the derived class says which lobe of `phong_bsdf.reflection.lobes.LOBES` by its `NAME`."""
 
     def __init__(self, props):
         super().__init__(props)
@@ -163,7 +163,7 @@ class LobeBSDF(mi.BSDF):
             self.parameters_changed([])
 
     def constants(self):
-        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
+        """What `phong_bsdf.tracing.materials` needs instead of this BSDF; None where a parameter is differentiated."""
         self.refresh()
         values = [(0.0,) if parameter.varies else parameter.constant() for parameter in self.parameters]
         # Of a colour, only Mitsuba knows which number an exponent is.

@@ -5,11 +5,11 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf import arguments
-from phong_bsdf.facing import toward_viewer
-from phong_bsdf.materials import SERIALS
-from phong_bsdf.needs import ALL_COMPONENTS, MIRRORLESS
-from phong_bsdf.parameters import FAINT, Parameter, is_recorded, mean, settling
+from phong_bsdf.reflection import arguments
+from phong_bsdf.reflection.parameters import FAINT, Parameter, is_recorded, mean, settling
+from phong_bsdf.tracing.facing import toward_viewer
+from phong_bsdf.tracing.materials import SERIALS
+from phong_bsdf.tracing.needs import ALL_COMPONENTS, MIRRORLESS
 
 
 class MirrorBlend(mi.BSDF):
@@ -171,7 +171,7 @@ class MirrorBlend(mi.BSDF):
             self.parameters_changed([])
 
     def constants(self):
-        """What `phong_bsdf.materials` needs instead of this BSDF; None where a parameter is differentiated."""
+        """What `phong_bsdf.tracing.materials` needs instead of this BSDF; None where a parameter is differentiated."""
         self.refresh()
         describe = getattr(self.nested, "constants", None)
         nested, km = describe() if describe else None, (0.0,) if self.km.varies else self.km.constant()

@@ -3,12 +3,12 @@
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf.camera import WHOLE, CameraSamples
-from phong_bsdf.films import channel_count, gradient_of_samples, is_plain, picture, splat, store
-from phong_bsdf.needs import FEATURES, left_out
-from phong_bsdf.parameters import Parameter
-from phong_bsdf.sums import Sets, most_summed, put_blocks, set_sums
-from phong_bsdf.tracer import Memory, Tracer
+from phong_bsdf.reflection.parameters import Parameter
+from phong_bsdf.tracing.camera import WHOLE, CameraSamples
+from phong_bsdf.tracing.films import channel_count, gradient_of_samples, is_plain, picture, splat, store
+from phong_bsdf.tracing.needs import FEATURES, left_out
+from phong_bsdf.tracing.sums import Sets, most_summed, put_blocks, set_sums
+from phong_bsdf.tracing.tracer import Memory, Tracer
 
 IS_JIT = dr.is_jit_v(mi.Float)
 

@@ -9,10 +9,12 @@ from pathlib import Path
 import drjit as dr
 import numpy as np
 
-from .. import images, machine, parts, passes
-from ..estimates import WeightedMean
-from ..parts import Part
-from ..passes import Pass, Store
+from ..host import machine
+from ..pictures import images, parts
+from ..pictures import store as passes
+from ..pictures.estimates import WeightedMean
+from ..pictures.parts import Part
+from ..pictures.store import Pass, Store
 from . import planning
 from .planning import Plan
 

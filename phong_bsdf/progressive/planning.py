@@ -14,10 +14,11 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 
-from .. import camera as cameras
-from .. import fingerprint, parts, rendering
-from ..parts import Samples, Subject
-from ..rendering import LoadedScene
+from ..pictures import parts
+from ..pictures.parts import Samples, Subject
+from ..scene import fingerprint, rendering
+from ..scene.rendering import LoadedScene
+from ..tracing import camera as cameras
 
 # Writing a pass takes as long as some 2 samples of each pixel: a pass of so many costs few percent more.
 PASS_SPP = 64

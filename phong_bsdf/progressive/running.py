@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import camera as cameras
-from .. import images, parts, rendering
-from ..estimates import WeightedMean
-from ..parts import Samples, Subject
-from ..rendering import LoadedScene, Rendering
+from ..pictures import images, parts
+from ..pictures.estimates import WeightedMean
+from ..pictures.parts import Samples, Subject
+from ..scene import rendering
+from ..scene.rendering import LoadedScene, Rendering
+from ..tracing import camera as cameras
 from .folder import Folder
 from .planning import Plan
 

@@ -1,1 +1,1 @@
-"""Records -> CSV, JSON, tables, plots. Renders nothing, measures nothing."""
+"""Records -> CSV, JSON, tables, plots, pages. Renders nothing, measures nothing. Imports what makes the records."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checking import RIGHT, UNREADABLE
+from ..checking.defaults import RIGHT, UNREADABLE
 from ..checking.grading import Assignment, Checked, Finding, Grade
-from ..images import replace_file
+from ..pictures.images import replace_file
 from . import page, tables
 
 # The brightest colour of a heat map: so many times what is allowed.

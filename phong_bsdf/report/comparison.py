@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ..comparison import ORIGINAL, Comparison
-from ..curves import ALBEDO_ANGLES, LOBE_ANGLES
-from ..images import write as write_image
-from ..metrics import EPSILON, FLIP_EXPOSURES
+from ..pictures.images import write as write_image
+from ..pictures.metrics import EPSILON, FLIP_EXPOSURES
+from ..reflection.curves import ALBEDO_ANGLES, LOBE_ANGLES
 from . import page, tables
 from .comparison_plots import colours, plots
 

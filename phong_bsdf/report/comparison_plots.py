@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..comparison import ORIGINAL, Comparison
-from ..curves import ALBEDO_ANGLES, LOBE_ANGLES, Curves
+from ..reflection.curves import ALBEDO_ANGLES, LOBE_ANGLES, Curves
 from . import page
 
 # Inches; about the size on a wide page.

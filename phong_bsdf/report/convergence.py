@@ -7,8 +7,8 @@ import numpy as np
 
 from ..convergence import conclusions, study, tradeoff
 from ..convergence.conclusions import Conclusions
-from ..images import write as write_image
-from ..metrics import EPSILON, FLIP_EXPOSURES
+from ..pictures.images import write as write_image
+from ..pictures.metrics import EPSILON, FLIP_EXPOSURES
 from . import page, tables
 from .convergence_tables import NAMES, NOT_YET, all_tables, finest_level, verdict
 from .study_page import Curve, Plot, Point, drawn, interval, legend, write_svg

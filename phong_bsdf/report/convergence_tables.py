@@ -4,7 +4,7 @@ import math
 
 from ..convergence import study, tradeoff
 from ..convergence.conclusions import Conclusions
-from ..metrics import EPSILON
+from ..pictures.metrics import EPSILON
 from . import tables
 from .study_page import Cell, Table, estimate, interval, number
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..explanation import Explanation
-from ..images import replace_file
+from ..pictures.images import replace_file
 from . import tables
 
 

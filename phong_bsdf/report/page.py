@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..images import png, replace_file
+from ..pictures.images import png, replace_file
 
 TEMPLATES = Path(__file__).parent / "templates"
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import metrics
 from ..checking.references import Outcome
 from ..checking.verdict import TILE
+from ..pictures import metrics
 from . import page, tables
 from .check import HEAT
 

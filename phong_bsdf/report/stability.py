@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..images import replace_file
+from ..pictures.images import replace_file
 from ..stability import BARS, Row
 from . import page, tables
 

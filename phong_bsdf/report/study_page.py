@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ..estimates import Estimate
-from ..images import replace_file
+from ..pictures.estimates import Estimate
+from ..pictures.images import replace_file
 from . import page, tables
 
 MARKERS = "osD^vPX*"

@@ -5,7 +5,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..images import replace_file
+from ..pictures.images import replace_file
 from ..sweep import COLUMNS, Row, Sweep
 
 

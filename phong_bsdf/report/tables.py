@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
-from .. import machine
-from ..images import replace_file
+from ..host import machine
+from ..pictures.images import replace_file
 
 
 def context() -> dict[str, str]:

@@ -1,5 +1,5 @@
 """Numerical stability of the lobes: worst errors at each exponent (`measuring`) over `inputs`, against `exact` values,
-beside `naive` formulas."""
+beside `naive` formulas. Imports `reflection`."""
 
 from .measuring import BARS, CASES, EXPONENTS, QUICK_CASES, Row, sweep
 

@@ -6,7 +6,7 @@ its inputs.
 
 import numpy as np
 
-from .. import lobes, matching
+from ..reflection import lobes, matching
 
 
 def value_and_pdf(lobe: str, wi: np.ndarray, wo: np.ndarray, p: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:

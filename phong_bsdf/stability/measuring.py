@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lobes
+from ..reflection import lobes
 from . import exact, naive
 from .inputs import pairs
 

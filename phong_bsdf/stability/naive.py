@@ -5,7 +5,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import matching
+from ..reflection import matching
 
 
 def phong(wi, wo, p):

@@ -14,7 +14,7 @@ import click
 import phong_bsdf  # noqa: F401  # isort: skip  (before mitsuba: it chooses the LLVM)
 import mitsuba as mi
 
-from phong_bsdf.images import replace_file
+from phong_bsdf.pictures.images import replace_file
 from phong_bsdf.report.tables import write_csv, write_json
 
 from . import plots, tables, targets

@@ -12,14 +12,15 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from phong_bsdf import bundle, images
 from phong_bsdf.cluster import passes, scaling
 from phong_bsdf.cluster.connection import address, connected
 from phong_bsdf.cluster.orders import Order, Orders
-from phong_bsdf.estimates import WeightedMean
-from phong_bsdf.passes import Store
+from phong_bsdf.pictures import images
+from phong_bsdf.pictures.estimates import WeightedMean
+from phong_bsdf.pictures.store import Store
 from phong_bsdf.progressive import folder as folders
 from phong_bsdf.progressive import planning, running
+from phong_bsdf.scene import bundle
 
 from .measure import Plan, record
 

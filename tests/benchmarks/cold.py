@@ -15,7 +15,7 @@ from pathlib import Path
 import mitsuba as mi
 import peers
 
-from phong_bsdf.needs import FEATURES
+from phong_bsdf.tracing.needs import FEATURES
 
 from . import scenes
 from .measure import Plan, compared, fresh_environment, fresh_process, kernels, record

@@ -40,7 +40,7 @@ def main(source, target, variant, plain=""):
         compiling = sum(k.get(name, 0) for k in dr.kernel_history() for name in ("codegen_time", "backend_time")) / 1000
         done("render")
         stages.update(compile=compiling, render=stages["render"] - compiling)
-        from phong_bsdf import images
+        from phong_bsdf.pictures import images
 
         images.write(Path(target), image.numpy())
         done("write")

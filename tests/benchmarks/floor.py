@@ -6,7 +6,7 @@ counted: they differ only where rounding decides.
 
 import mitsuba as mi
 
-from phong_bsdf.needs import FEATURES
+from phong_bsdf.tracing.needs import FEATURES
 
 from . import scenes
 from .measure import Plan, compared, fresh_process, interleaved, record

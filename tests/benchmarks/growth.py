@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from phong_bsdf.lights import FEW
+from phong_bsdf.tracing.lights import FEW
 
 from . import scenes
 from .measure import Kernels, Plan, fresh_process, kernels, record, seconds, slope

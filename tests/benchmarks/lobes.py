@@ -5,7 +5,7 @@ from unittest import mock
 
 import mitsuba as mi
 
-from phong_bsdf import lobes
+from phong_bsdf.reflection import lobes
 from phong_bsdf.stability import naive
 
 from .measure import Plan, compared, interleaved

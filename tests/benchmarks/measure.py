@@ -18,7 +18,7 @@ import drjit as dr  # isort: skip
 import mitsuba as mi
 import numpy as np
 
-from phong_bsdf import machine
+from phong_bsdf.host import machine
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from phong_bsdf.images import replace_file
+from phong_bsdf.pictures.images import replace_file
 from phong_bsdf.report import page
 
 from .measure import Record

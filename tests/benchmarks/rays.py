@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from phong_bsdf.needs import is_delta
+from phong_bsdf.tracing.needs import is_delta
 
 # Up to so many lights stand in the kernel one by one, as in `whitted`; more are a loop over arrays.
 FEW_LIGHTS = 4

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import drjit as dr
 import mitsuba as mi
 
+from ..reflection.parameters import FAINT
 from .dispatch import Dispatch
 from .facing import Told, interpolates, is_front
 from .geometry import Geometry, Tight
 from .lights import Dark, Finite, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, bsdfs_of, check_lights, delta_lobes, prepared, wake
-from .parameters import FAINT
 from .spawn import Seen, Surfaces
 
 # Unlimited depth: until the throughput is below this, after this many bounces at the latest.

@@ -15,9 +15,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import camera as cameras
-from . import films, images, needs, soundness, sums
-from .scene_errors import SceneError, located, sentence
+from ..pictures import images
+from ..tracing import camera as cameras
+from ..tracing import films, needs, sums
+from . import soundness
+from .errors import SceneError, located, sentence
 
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from . import needs
-from .registry import PLUGINS as OURS
+from ..host.registry import PLUGINS as OURS
+from ..tracing import needs
 
 
 class SceneError(ValueError):
@@ -72,7 +72,7 @@ def _reworded(text: str) -> str:
 def _catalogue(kind: str) -> Mapping[str, str]:
     """The plugins of a kind, and their parameters."""
     # Late: the importers take longer to import than most scenes to parse, and most scenes have no mistake.
-    from .importers.catalogue import PLUGINS
+    from ..importers.catalogue import PLUGINS
 
     return PLUGINS.get(kind, {})
 

@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..reflection.parameters import Watch, channels
 from .needs import LIGHTS, UnsupportedScene, is_delta
-from .parameters import Watch, channels
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
 # mirrors costs as much as three lights, but its compile time does not grow with their number.

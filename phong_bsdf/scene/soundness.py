@@ -10,8 +10,8 @@ import math
 import mitsuba as mi
 import numpy as np
 
-from . import needs
-from .registry import PLUGINS as OURS
+from ..host.registry import PLUGINS as OURS
+from ..tracing import needs
 
 Type = mi.Properties.Type
 

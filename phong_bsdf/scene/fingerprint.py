@@ -13,7 +13,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from . import __version__, rendering
+from .. import __version__
+from . import rendering
 
 # Said beside the scene: how many samples, how large a picture.
 LEFT_OUT = {mi.ObjectType.Sampler: {"sample_count"}, mi.ObjectType.Film: {"width", "height"}}

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from ..tracing.camera import grid
 from . import images
-from .camera import grid
 from .estimates import WeightedMean
 
 SUBJECT, SAMPLES = "subject", "samples"

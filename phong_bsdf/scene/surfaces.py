@@ -10,10 +10,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import energy
-from .lobes import LOBES
-from .matching import Carried, Lobe
-from .vocabulary import COEFFICIENTS, DEFAULTS, ENERGY, REFLECTANCES
+from ..reflection import energy
+from ..reflection.lobes import LOBES
+from ..reflection.matching import Carried, Lobe
+from ..reflection.vocabulary import COEFFICIENTS, DEFAULTS, ENERGY, REFLECTANCES
 
 # The first two of a vocabulary.
 SCALES = ("diffuse", "specular")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from . import lobes
+from ..reflection import lobes
+from ..reflection.parameters import Watch
 from .needs import has_instances
-from .parameters import Watch
 from .spawn import shape_numbers
 
 # Each BSDF that can describe itself has another, for as long as the process lives.

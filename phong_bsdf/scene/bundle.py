@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from . import images
-from .importers import xmlfile
-from .importers.xmlfile import Node
+from ..importers import xmlfile
+from ..importers.xmlfile import Node
+from ..pictures import images
 
 NAME = re.compile(r"[0-9a-f]{64}(\.[A-Za-z0-9]{1,16})?")
 

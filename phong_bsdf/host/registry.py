@@ -58,7 +58,7 @@ def _load(variant: str | None) -> None:
     if variant is None or variant == _loaded_for:
         return
     for module in MODULES:
-        name = f"{__package__}.plugins.{module}"
+        name = f"phong_bsdf.plugins.{module}"
         if name in sys.modules:
             importlib.reload(sys.modules[name])
         else:

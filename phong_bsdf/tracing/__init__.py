@@ -1,0 +1,1 @@
+"""Rays through a scene. Imports `host` and `reflection`."""
