@@ -211,8 +211,8 @@ def test_threads(folder, threads):
 
 def test_threads_are_the_cores_that_may_be_used(folder, monkeypatch):
     """A batch system that gives a part of a machine gets no more threads than that."""
-    code = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); from phong_bsdf import machine as m"
-    child = subprocess.run([sys.executable, "-c", f"{code}; print(m.cores())"], capture_output=True, text=True)
+    code = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); from phong_bsdf.host import machine"
+    child = subprocess.run([sys.executable, "-c", f"{code}; print(machine.cores())"], capture_output=True, text=True)
     assert child.stdout == "1\n", child.stderr
     before = dr.thread_count()
     monkeypatch.setattr(machine, "cores", lambda: 5)
