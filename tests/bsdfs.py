@@ -24,10 +24,12 @@ BSDFS = {
     "blinnphong": {"type": "blinnphong", "kd": {"type": "rgb", "value": [0.9, 0.3, 0.1]}, "ks": 0.4, "p": 30},
     "mirrorblend": {"type": "mirrorblend", "km": 0.5, "nested": {"type": "blinnphong", "ks": 0.7, "p": 100}},
 }
+# Those that are lobes themselves.
+WITH_LOBES = [kind for kind, description in BSDFS.items() if "p" in description]
 
 
 def material(kind, vocabulary, diffuse=0.4, specular=0.3, p=20.0, **more):
-    """A BSDF of either vocabulary; one that is no lobe is wrapped in the mirror that `kind` stands for."""
+    """A lobe BSDF, of `kind` `phong` or `blinnphong`, in either vocabulary."""
     return {"type": kind, **dict(zip(VOCABULARIES[vocabulary], (diffuse, specular, p), strict=True)), **more}
 
 

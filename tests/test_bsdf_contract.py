@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import BSDFS, hemisphere, incidence, interaction
+from bsdfs import BSDFS, WITH_LOBES, hemisphere, incidence, interaction
 
 ANGLES = (0, 20, 45, 70, 85)
 
@@ -50,7 +50,7 @@ def test_eval_pdf_is_eval_and_pdf(kind, any_variant):
 @pytest.mark.slow
 @pytest.mark.parametrize("degrees", ANGLES)
 @pytest.mark.parametrize("p", (0, 1, 30, 1000))
-@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("kind", WITH_LOBES)
 def test_samples_follow_the_density(kind, p, degrees):
     """Chi-square of `sample` against `pdf`, both lobes together."""
     theta = math.radians(degrees)
@@ -105,7 +105,7 @@ def test_surfaces_are_black_from_behind_and_below(kind):
     assert dr.all(weight == 0)
 
 
-@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("kind", WITH_LOBES)
 def test_components_are_what_can_be_seen(kind):
     """kd = 0 leaves no diffuse component, ks = 0 no glossy one; each can be asked for alone."""
     diffuse, glossy = mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection
@@ -273,7 +273,7 @@ def test_parameters_can_be_changed():
 
 
 @pytest.mark.parametrize("value", (3e38, 1e38, 1e-38))
-@pytest.mark.parametrize("kind", ("phong", "blinnphong"))
+@pytest.mark.parametrize("kind", WITH_LOBES)
 def test_no_infinity_leaves_for_any_finite_parameter(kind, value):
     """eval, pdf and sample of the largest and smallest numbers are numbers."""
     n = 1000

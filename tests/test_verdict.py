@@ -29,7 +29,7 @@ def test_tolerances(picture, limits, error):
         image[7, 9, 2] = 0.3 + factor * error
         found = verdict.compare(image, picture, **limits)
         assert found.passed == passed
-        assert np.argwhere(found.wrong).tolist() == [] if passed else [[7, 9]]
+        assert np.argwhere(found.wrong).tolist() == ([] if passed else [[7, 9]])
 
 
 def test_words_name_the_worst_pixel(picture):

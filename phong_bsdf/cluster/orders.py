@@ -75,7 +75,9 @@ class Orders:
 
     def add(self, order: Order) -> None:
         """One more; also while results come, as long as there are any."""
-        if order.name in self.losses and any(o.name == order.name for o in self.waiting):
+        if any(
+            other.name == order.name for other in (*self.waiting, *(attempt.order for attempt in self.running.values()))
+        ):
             raise ValueError(f"two orders have the name '{order.name}'")
         self.losses[order.name] = 0
         self.waiting.append(order)

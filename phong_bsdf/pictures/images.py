@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..host import machine
+
 FORMATS = (".exr", ".png")
 CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
 # What colours can be stored as: the names of their channels, the first that are all there count.
@@ -227,7 +229,7 @@ def _write_exr(path: str, image: np.ndarray, metadata: Mapping[str, str], *names
     # A file has its channels in the order of the alphabet.
     order = {} if usual else {ORDER: json.dumps(list(names))}
     # Compressing takes longer than rendering; the library's default is one thread.
-    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+    OpenEXR.set_global_thread_count(machine.cores())
     own = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, CHECKSUM: _checksum(image), **order}
     header = {**own, **metadata}
     with OpenEXR.File(header, channels) as file:
