@@ -263,3 +263,10 @@ def test_recipes_of_pairs_do_not_contradict():
     assert not change({"view": "distance"}).goes_with(change({"view": "ray"}))
     assert not change(flip="a").goes_with(change(flip="b")) and not change(curve="a").goes_with(change(curve="b"))
     assert change(flip="a").goes_with(change({"view": "ray"})) and change(flip="a").goes_with(change(curve="b"))
+
+
+@pytest.mark.parametrize("name", shading.CHOICES)
+def test_misspelt_choices_are_refused(name):
+    """A mistake that is none would shade the right picture."""
+    with pytest.raises(ValueError, match=f"'{name}' must be one of"):
+        shading.Recipe(**{name: "distanc"})

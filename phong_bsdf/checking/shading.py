@@ -11,9 +11,23 @@ import numpy as np
 from .hits import Bounce, Hits, Light
 
 
+# What the fields of a `Recipe` that name something may be.
+CHOICES = {
+    "view": ("unit", "distance", "ray"),
+    "light": ("unit", "raw"),
+    "half": ("unit", "raw", "halved"),
+    "normal": ("unit", "raw"),
+    "lobe": (None, "phong", "blinnphong"),
+    "shadows": ("right", "none", "past"),
+    "behind": ("dark", "highlight", "negative", "absolute"),
+    "mirror": ("blend", "added", "full", "highlight"),
+    "end": ("bare", "dark"),
+}
+
+
 @dataclass(frozen=True)
 class Recipe:
-    """How a picture is made. Every default is right."""
+    """How a picture is made. Every default is right. ValueError for a choice that there is not."""
 
     falloff: bool = False
     """Lights fall off with 1/r^2."""
@@ -48,6 +62,11 @@ class Recipe:
     swapped: tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]] | None = None
     """`specular`, `exponent` or both, and two groups of materials that have each other's."""
     missing_light: int | None = None
+
+    def __post_init__(self):
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ValueError(f"Recipe: '{name}' must be one of {choices}, got {getattr(self, name)!r}")
 
 
 RIGHT = Recipe()
