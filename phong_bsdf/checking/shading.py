@@ -10,7 +10,6 @@ import numpy as np
 
 from .hits import Bounce, Hits, Light
 
-
 # What the fields of a `Recipe` that name something may be.
 CHOICES = {
     "view": ("unit", "distance", "ray"),
