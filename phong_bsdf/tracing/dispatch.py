@@ -6,7 +6,7 @@
 import drjit as dr
 import mitsuba as mi
 
-from .needs import ALL_COMPONENTS, COURSE, DELTA, MIRRORLESS, NULL, delta_lobes_of
+from .needs import ALL_COMPONENTS, COURSE, DELTA, MIRRORLESS, NULL, TILTED, delta_lobes_of
 
 
 class Dispatch:
@@ -15,7 +15,8 @@ class Dispatch:
 
     def __init__(self, deltas, told=None):
         self.jit = dr.is_jit_v(mi.Float)
-        self.told, self.mask = told, COURSE if told else 0
+        self.told = told
+        self.mask = COURSE | TILTED * told.tilts if told else 0
         self.deltas, self.contexts = deltas, self._mirror_contexts(deltas)
         smooth = int(mi.BSDFFlags.All) & ~(DELTA | NULL)
         self.smooth, self.mirrorless = self._context(smooth), self._context(smooth | MIRRORLESS)
@@ -41,17 +42,21 @@ class Dispatch:
 
     def diffuse_reflectance(self, material, si, last, active):
         """Diffuse reflectance, unpolarized; `last` as in `eval`."""
-        bsdf, _ = material
-        reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, active))
+        bsdf, told = material
+        reflectance = mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(told, active))
         if (self.deltas if self.jit else self._deltas_of(bsdf)[0]).masks:
             # Mitsuba's `mask` forgets its opacity here.
             reflectance = reflectance * (1 - mi.unpolarized_spectrum(bsdf.eval_null_transmission(si, active)))
         if last is None:
             return reflectance
         # What a mirrorblend shows without its mirror, only `eval` tells: at normal incidence.
-        context = mi.BSDFContext(mi.TransportMode.Radiance, int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS)
-        normal = mi.Vector3f(0, 0, dr.sign(mi.Frame3f.cos_theta(si.wi)))
-        bare = mi.unpolarized_spectrum(bsdf.eval(context, si, normal, last)) * dr.pi
+        context = self._context(int(mi.BSDFFlags.DiffuseReflection) | MIRRORLESS)
+        # From the side that is seen; what has one side only is asked from that one.
+        below = mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide) & (mi.Frame3f.cos_theta(told.wi) < 0)
+        normal = mi.Vector3f(0, 0, dr.select(below, mi.Float(-1), mi.Float(1)))
+        along = mi.SurfaceInteraction3f(told)
+        along.wi = normal
+        bare = mi.unpolarized_spectrum(bsdf.eval(context, along, normal, last)) * dr.pi
         return dr.select(last, bare, reflectance)
 
     def mirrors(self, material, si, active):

@@ -7,26 +7,37 @@ both its normals face away.
 
 So there BSDFs are told only from which side the surface is seen: `si.wi` is the normal of that side,
 which leaves adapters (`twosided`, `normalmap`, ...) nothing to flip or to hide. The BSDFs of this
-package take the true direction toward the viewer from a field that no other BSDF reads.
+package take the true direction toward the viewer from fields that no other BSDF reads: `si.dn_du` is that
+direction, `si.dn_dv` the surface's shading normal.
 """
 
 import drjit as dr
 import mitsuba as mi
 
-from .needs import COURSE
+from .needs import COURSE, TILTED
 
 # Shapes whose two normals are one.
 FLAT = ("Sphere", "Rectangle", "Disk", "Cylinder", "Cube")
 
 # BSDFs of Mitsuba that pass a question on to what they hold, and those that have the lecture's diffuse part.
 ADAPTERS = ("TwoSidedBRDF", "MaskBSDF", "BlendBSDF", "NormalMap", "BumpMap")
-PERTURBING = ("NormalMap", "BumpMap")
+TILTING = ("NormalMap", "BumpMap")
 DIFFUSE = ("SmoothDiffuse", "Null")
 
 
 def toward_viewer(ctx, si):
     """The direction toward the viewer, in the local frame: what the BSDFs of this package use instead of `si.wi`."""
-    return si.to_local(mi.Vector3f(si.dn_du)) if ctx.type_mask & COURSE else si.wi
+    if not ctx.type_mask & COURSE:
+        return si.wi
+    wi = si.to_local(mi.Vector3f(si.dn_du))
+    if not ctx.type_mask & TILTED:
+        return wi
+    # Seen from behind, `wi` is mirrored about the surface's normal, as by a `twosided` around what tilts it. One inside
+    # of that mirrors about the tilted normal: then the side's normal leans the other way.
+    normal = si.to_local(mi.Vector3f(si.dn_dv))
+    inside = dr.fma(si.wi.x, normal.x, si.wi.y * normal.y) < 0
+    tilted = wi - normal * (2 * dr.dot(wi, normal))
+    return dr.select(inside, mi.Vector3f(tilted.x, tilted.y, -tilted.z), wi)
 
 
 def interpolates(scene) -> bool:
@@ -46,7 +57,7 @@ class Told:
         trees = [(bsdf, list(_tree(bsdf))) for bsdf in bsdfs]
         self.foreign = [bsdf for bsdf, tree in trees if not all(map(_is_lectures, tree))]
         self.all_foreign = len(self.foreign) == len(bsdfs)
-        self.any_perturbs = any(found.class_name() in PERTURBING for _, tree in trees for found in tree)
+        self.tilts = any(found.class_name() in TILTING for _, tree in trees for found in tree)
 
     def about(self, si, bsdf, front, view):
         """The interaction `si` as `bsdf` is to see it; `front` and `view` as in `is_front`."""
@@ -62,7 +73,7 @@ class Told:
         # Below the horizon `twosided` mirrors directions, so there they are mirrored beforehand.
         below = mi.Frame3f.cos_theta(told.wi) < 0
         n = mi.Vector3f(si.sh_frame.n)
-        told.dn_du = dr.select(below, view - n * (2 * dr.dot(view, n)), view)
+        told.dn_du, told.dn_dv = dr.select(below, view - n * (2 * dr.dot(view, n)), view), n
         return told
 
 

@@ -1,39 +1,54 @@
 """Whether rays slip between two triangles of a mesh: some are aimed at edges that triangles share."""
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# Triangles of a mesh whose edges are looked at, and rays aimed at them, a third of which count. Of those
-# one in fifty or more slips through a scene without the flag.
-TRIANGLES, RAYS = 256, 16384
+# Meshes that are tried, triangles of each whose edges are looked at, and rays aimed at them, of which most count. Of
+# those one in fifty or more slips through a scene without the flag.
+MESHES, TRIANGLES, RAYS = 16, 256, 16384
 
 # Weights that make one number of three.
 PRIMES = (2654435761, 40503, 2246822519)
 
+# How far from an edge, in its lengths, the rays start: some near, where other surfaces are close.
+NEAR, FAR = 0.05, 3.0
+
+# What counts as a hit of the edge that a ray was aimed at, relative to the distance, and to the coordinates.
+CLOSE, ROUNDING = 1e-3, 2**-20
+
 
 def has_gaps(scene, meshes) -> bool:
-    """Whether rays slip between the triangles of `meshes`, shapes of `scene`: tried on the first that shares edges."""
-    for mesh in meshes:
-        o, d, reach = _rays_at_edges(mesh)
-        if len(o):
-            break
-    else:
+    """Whether rays slip between the triangles of `meshes`, shapes of `scene`."""
+    tried = [rays for mesh in meshes[:MESHES] if len((rays := _rays_at_edges(mesh))[0])]
+    if not tried:
         return False
+    o, d, reach = (np.concatenate(parts) for parts in zip(*tried, strict=True))
     if dr.is_jit_v(mi.Float):
-        blocked = scene.ray_test(mi.Ray3f(mi.Point3f(o.T), mi.Vector3f(d.T), mi.Float(reach), 0, []))
-        return not dr.all(blocked)
-    rays = (mi.Ray3f(mi.Point3f(*a), mi.Vector3f(*b), float(c), 0, []) for a, b, c in zip(o, d, reach, strict=True))
-    return not all(map(scene.ray_test, rays))
+        ray = dr.zeros(mi.Ray3f, len(o))
+        ray.o, ray.d, ray.maxt = mi.Point3f(o.T), mi.Vector3f(d.T), mi.Float(dr.inf)
+        found = scene.ray_intersect_preliminary(ray).t.numpy()
+    else:
+        found = np.array([_distance(scene, *ray) for ray in zip(o.tolist(), d.tolist(), strict=True)])
+    # What is met before is another surface.
+    return bool((found > (1 + CLOSE) * reach + ROUNDING * np.abs(o).max(axis=1)).any())
+
+
+def _distance(scene, o, d) -> float:
+    ray = dr.zeros(mi.Ray3f)
+    ray.o, ray.d, ray.maxt = o, d, math.inf
+    return scene.ray_intersect_preliminary(ray).t
 
 
 def _rays_at_edges(mesh):
-    """Rays that must meet `mesh`, each at an edge that two of its triangles share: origins, directions, lengths."""
+    """Rays that must meet `mesh`, each at an edge that two of its triangles share: origins, directions, distances."""
     positions = np.array(mesh.vertex_positions_buffer(), np.float32).reshape(-1, 3)
     faces = np.array(mesh.faces_buffer(), np.int64).reshape(-1, 3)
     few = faces[:: max(len(faces) // TRIANGLES, 1)]
     corners, first, second = _shared_edges(positions, faces, np.isin(np.arange(len(positions)), few))
-    if len(first) == 0:
+    if len(first) == 0 and len(faces):
         # No two triangles have a vertex in common, but perhaps a place.
         places = _places(positions)
         corners, first, second = _shared_edges(positions, faces, np.isin(places, places[few]))
@@ -47,17 +62,16 @@ def _rays_at_edges(mesh):
     rng = np.random.default_rng(1)
     d = rng.normal(size=(RAYS, 3))
     d = (d / _length(d)).astype(np.float32)
-    # Where a triangle is seen from behind, or both lie on one side, the edge may be an outline, which rays may miss.
+    # Where both triangles lie on one side of the edge, or nearly so, it is an outline, which rays may miss.
     with np.errstate(divide="ignore", invalid="ignore"):
-        cosines = [-(d * normal).sum(axis=1) / _length(normal)[:, 0] for normal in (n, m)]
+        cosines = [np.abs((d * normal).sum(axis=1)) / _length(normal)[:, 0] for normal in (n, m)]
     aside = np.cross(b - a, d)
     sides = [(aside * (corners[k // 3, (k + 2) % 3] - a)).sum(axis=1) for k in (first, second)]
-    facing = (np.minimum(*cosines) > 0.2) & (sides[0] * sides[1] < 0)
-    a, b, d = a[facing], b[facing], d[facing]
-    reach = 3 * _length(b - a)
+    count = (np.minimum(*cosines) > 0.2) & (sides[0] * sides[1] < 0)
+    a, b, d = a[count], b[count], d[count]
+    reach = _length(b - a) * np.exp(rng.uniform(np.log(NEAR), np.log(FAR), (len(d), 1)))
     o = a + rng.uniform(0.05, 0.95, (len(d), 1)) * (b - a) - d * reach
-    # No further than to the edge: behind it the mesh may have another side.
-    return o.astype(np.float32), d, (1.001 * reach[:, 0]).astype(np.float32)
+    return o.astype(np.float32), d, reach[:, 0].astype(np.float32)
 
 
 def _shared_edges(positions, faces, marked):

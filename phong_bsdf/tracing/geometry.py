@@ -13,6 +13,7 @@ traced three times, at angles too small to see: no edge lets all of them through
 import drjit as dr
 import mitsuba as mi
 
+from ..reflection.parameters import is_recorded
 from .needs import ROBUST, has_instances
 
 # The angle between rays that are traced side by side; seen from where a ray starts, a gap is some 2^-23 wide.
@@ -72,7 +73,7 @@ class Tight:
         # While the array of pointers is kept, no other has its number.
         pointers = scene.shapes_dr() if dr.is_jit_v(mi.Float) else shapes
         key = pointers.index if dr.is_jit_v(mi.Float) else [shape.ptr for shape in shapes]
-        if dr.is_jit_v(mi.Float) and dr.flag(dr.JitFlag.FreezingScope):
+        if is_recorded():
             # A recording takes its scene from its arguments, and nothing can be tried while it is made.
             if key != self.key or self.made:
                 _warn_of_recording()
@@ -145,6 +146,6 @@ def _warn_of_recording() -> None:
         _warned = True
         mi.Log(
             mi.LogLevel.Warn,
-            "whitted: in a recorded function (dr.freeze) single rays may slip between the triangles of a mesh; load "
+            "whitted: while a function or loop is recorded, single rays may slip between the triangles of a mesh; load "
             f"the scene with '{ROBUST}' = true, and render it once before",
         )

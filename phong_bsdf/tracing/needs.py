@@ -21,6 +21,9 @@ MIRRORLESS = 1 << 30
 # Another, in type masks only: `si.wi` says no more than from which side the surface is seen (`facing.py`).
 COURSE = 1 << 29
 
+# With it: some BSDF of the scene tilts normals.
+TILTED = 1 << 28
+
 # `BSDFContext.component` where all are meant.
 ALL_COMPONENTS = 0xFFFFFFFF
 
@@ -104,7 +107,7 @@ def left_out(scene) -> str | None:
         nodes = [node for _, _, node, _ in mi.traverse(scene).properties.values()]
         shapes.update((node.ptr, node) for node in nodes if isinstance(node, mi.Shape))
     spheres = [s for s in shapes.values() if s.class_name() == "Sphere"]
-    round_ones = [s.id() or "sphere" for s in spheres if stretched(axes(_matrix(s)))]
+    round_ones = [s.id() or "sphere" for s in spheres if stretched(axes(linear_part(s)))]
     media = [s.id() or s.class_name() for s in shapes.values() if s.interior_medium() or s.exterior_medium()]
     media += [s.id() or s.class_name() for s in scene.sensors() if s.get_medium()]
     said = []
@@ -228,12 +231,13 @@ def _branches(components: list[int]) -> int:
     return max(sum(bool(f & side or not f & sum(sides)) for f in deltas) for side in sides)
 
 
-def _matrix(shape):
-    """The 3 x 3 part of `to_world`, as NumPy array."""
-    import numpy as np
-
-    matrix = np.array(dr.detach(mi.traverse(shape)["to_world"].matrix), np.float64)
-    return matrix.reshape(4, 4, -1)[:3, :3, 0]
+def linear_part(shape) -> list[list[float]]:
+    """The 3 x 3 part of `to_world`."""
+    matrix = dr.detach(mi.traverse(shape)["to_world"].matrix)
+    if not dr.is_jit_v(matrix):
+        return [[float(matrix[i, j]) for j in range(3)] for i in range(3)]
+    # Element by element: the whole matrix would be a kernel for each shape.
+    return [[float(matrix[i, j].numpy()[0]) for j in range(3)] for i in range(3)]
 
 
 def _listed(kind: str, names: list[str], most: int = 3) -> str:

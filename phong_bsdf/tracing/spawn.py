@@ -9,6 +9,8 @@ that was hit and with its coordinates; so does the offset here.
 import drjit as dr
 import mitsuba as mi
 
+from .needs import axes, linear_part
+
 # Rounding errors that a hit and the test of the ray that leaves it add up, in units of
 # 2^-24 (coordinates + size of the shape). A sphere's shadow test, r^2 - |o - c|^2 in
 # float32, needs about 3; Embree's triangles and the other shapes less.
@@ -227,11 +229,7 @@ def _curvature(cylinder) -> float:
 
 def _stretch(instance) -> float:
     """How many times further an instance stretches in one direction than in another, up to `MOST_STRETCH`."""
-    # Slow to import, and needed here only.
-    import numpy as np
-
-    matrix = np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4, -1)[:3, :3, 0]
-    lengths = np.linalg.svd(matrix, compute_uv=False)
+    lengths = axes(linear_part(instance))
     shortest = max(lengths[2], lengths[0] / MOST_STRETCH)
     return float(lengths[0] / shortest) if shortest > 0 else 1.0
 

@@ -116,7 +116,7 @@ class Tracer:
         if not self.course:
             return None
         told = Told(bsdfs_of(self.scene))
-        turned = told.any_perturbs or interpolates(self.scene)
+        turned = told.tilts or interpolates(self.scene)
         return told if turned and not told.all_foreign else None
 
     def features(self) -> set[str]:
