@@ -181,6 +181,59 @@ def test_bump_maps_turn_past_the_viewer():
     assert np.array(values) == pytest.approx(np.array([expected, expected]), abs=0.01)
 
 
+@pytest.mark.parametrize("mapped", ("normalmap", "bumpmap"))
+@pytest.mark.parametrize("inside", (True, False))
+@pytest.mark.parametrize("mirrored", (True, False))
+def test_maps_around_two_sides_and_inside_of_them(mapped, inside, mirrored):
+    """Where no normal turns away, the course convention is pi times the physical one, from both sides of a surface."""
+    ramp = np.linspace(0, 0.7, 64, dtype=np.float32)[None, :, None].repeat(64, 0)
+
+    def tilted(bsdf):
+        if mapped == "bumpmap":
+            height = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(ramp)), "raw": True}
+            return {"type": "bumpmap", "height": height, "nested": bsdf}
+        return {"type": "normalmap", "normalmap": rgb(0.68, 0.59, 0.95), "nested": bsdf}
+
+    surface = own("phong") if not mirrored else {"type": "mirrorblend", "km": 0.5, "nested": own()}
+    two = {"type": "twosided", "nested": tilted(surface)} if inside else tilted({"type": "twosided", "nested": surface})
+    for side in (1, -1):
+        description = scene({"type": "rectangle"}, two, eye=(1.0, 0.5, 3.0 * side))
+        description["sun"]["direction"] = [-0.3, 0.2, -1.0 * side]
+        # What the mirror sees tells its direction.
+        description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_of_one_gradient())}
+        course = pixel(description)
+        physical = pixel({**description, "integrator": {"type": "whitted", "convention": "physical"}})
+        dark = {**description, "sun": {**description["sun"], "irradiance": 0.0}}
+        seen = pixel({**dark, "integrator": {"type": "whitted", "convention": "physical"}})
+        assert course.max() > 0.1
+        assert course - seen == pytest.approx(np.pi * (physical - seen), abs=2e-4)
+        assert pixel(dark) == pytest.approx(seen, abs=2e-4)
+
+
+def sky_of_one_gradient():
+    """A sky whose colour tells the direction."""
+    v, u = np.mgrid[0:32, 0:64].astype(np.float32)
+    return np.stack([v / 32, 0.5 + 0.5 * np.sin(u / 64 * 2 * np.pi), 0.3 + 0 * u], axis=-1).astype(np.float32)
+
+
+RED, BLUE = ({"type": "phong", "kd": rgb(*kd), "ks": 0} for kd in ((0.8, 0.1, 0.1), (0.1, 0.1, 0.8)))
+
+
+@pytest.mark.parametrize("max_depth", (2, 3))
+@pytest.mark.parametrize("specialize", (True, False))
+@pytest.mark.parametrize("bsdf", (
+    RED, {"type": "twosided", "a": RED, "b": BLUE}, {"type": "mask", "opacity": 1.0, "n": RED},
+    {"type": "mirrorblend", "km": 0.5, "n": {"type": "twosided", "a": RED, "b": BLUE}},
+    {"type": "twosided", "a": {"type": "mirrorblend", "km": 0.5, "n": RED}, "b": BLUE},
+), ids=str)  # fmt: skip
+def test_ambient_light_comes_from_the_side_that_is_seen(tmp_path, bsdf, specialize, max_depth):
+    """That of the front, though the shading normal faces away; of the last mirror all."""
+    description = scene(triangle(tmp_path), bsdf, specialize=specialize, ambient=1.0, max_depth=max_depth)
+    description["sun"]["irradiance"] = 0.0
+    mirrored = 0.5 if "mirrorblend" in str(bsdf) and max_depth > 2 else 1.0
+    assert pixel(description) == pytest.approx(mirrored * np.array((0.8, 0.1, 0.1)), abs=1e-5)
+
+
 @pytest.mark.parametrize("variant", ("scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono"))
 def test_all_variants(tmp_path, variant):
     """Grey surfaces are as bright in every variant."""

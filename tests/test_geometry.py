@@ -9,6 +9,7 @@ from small_scenes import film, look
 
 from phong_bsdf.importers import convert_model
 from phong_bsdf.scene import rendering
+from phong_bsdf.tracing import geometry as tracing_geometry
 from phong_bsdf.tracing.gaps import has_gaps
 from phong_bsdf.tracing.geometry import Geometry, Tight, has_triangles
 from phong_bsdf.tracing.needs import ROBUST
@@ -199,6 +200,82 @@ def test_shadows(tmp_path):
     assert dr.max(radiance(description, np.array([0.1, 0.3, -0.5]), onto).x)[0] == 0
 
 
+def box(inwards=False):
+    """A closed box of eight vertices."""
+    positions = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([part for a, b, c, d in quads for part in ((a, b, c), (a, c, d))])
+    return positions, faces[:, ::-1] if inwards else faces
+
+
+def alternating(n=9):
+    """A grid of which every second triangle is wound the wrong way."""
+    positions, faces = grid(n)
+    faces = faces.copy()
+    faces[::2] = faces[::2, ::-1]
+    return positions, faces
+
+
+@pytest.mark.parametrize("kind", ("room", "any winding", "close to another", "in a sphere", "after a triangle"))
+def test_gaps_are_found_where_rays_have_little_room(kind, tmp_path):
+    """Inside of a room, under any winding, between other surfaces, whichever mesh comes first."""
+    meshes = {
+        "room": {"a": box(inwards=True)},
+        "any winding": {"a": alternating()},
+        "close to another": {"a": (grid(9)[0] + np.array([0, 0, 0.02], np.float32), grid(9)[1]), "b": grid(9)},
+        "in a sphere": {"a": grid(9)},
+        "after a triangle": {"a": (grid(2)[0], grid(2)[1][:1]), "b": grid(9)},
+    }[kind]
+    shapes = {name: write_ply(tmp_path / f"{name}.ply", *mesh) for name, mesh in meshes.items()}
+    if kind == "in a sphere":
+        shapes["ball"] = {"type": "sphere", "radius": 3.0}
+    for flag in (False, True):
+        loaded = mi.load_dict({"type": "scene", ROBUST: flag, **shapes})
+        assert has_gaps(loaded, [shape for shape in loaded.shapes() if has_triangles(shape)]) != flag
+
+
+@pytest.mark.parametrize("variant", ("llvm_ad_spectral", "scalar_spectral", "llvm_ad_mono_polarized"))
+def test_every_kind_of_light(variant):
+    """Rays are tried in all variants."""
+    before = mi.variant()
+    mi.set_variant(variant)
+    try:
+        loaded = mi.load_dict(scene({"type": "cube"}, 16))
+        assert np.array(mi.render(loaded)).max() > 0
+        assert Geometry(loaded).scene is not loaded
+    finally:
+        mi.set_variant(before)
+
+
+def test_sampled_in_a_loop(tmp_path):
+    """An integrator that is asked while a loop is recorded tries nothing, and traces the scene as it was loaded."""
+    loaded = mi.load_dict(scene(shape_of("ply", tmp_path), 4))
+
+    @dr.syntax
+    def twice(integrator, loaded, sampler):
+        i, total = mi.UInt32(0), mi.Float(0)
+        while i < 2:
+            ray = mi.Ray3f(mi.Point3f(0.1, 0.2, 5), mi.Vector3f(0, 0, -1))
+            total += integrator.sample(loaded, sampler, ray)[0].x
+            i += 1
+        return total
+
+    assert twice(loaded.integrator(), loaded, loaded.sensors()[0].sampler())[0] == pytest.approx(2, rel=1e-5)
+
+
+def test_first_picture_launches_few_kernels(tmp_path):
+    """What is looked at before is no kernel for each shape."""
+    spheres = {f"ball {i}": {"type": "sphere", "center": [i, 0, 0], "radius": 0.4, "bsdf": WHITE} for i in range(40)}
+    for more, kernels in (({}, 1), ({"cube": {"type": "cube", "bsdf": WHITE}}, 2)):
+        description = scene({"type": "sphere"}, 8, **spheres, **more)
+        loaded = mi.load_dict(description)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.eval(mi.render(loaded))
+            launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+        assert len(launched) <= kernels
+
+
 def test_scenes_that_have_the_flag_are_left_alone(tmp_path):
     """Scenes without gaps, or meshes, are traced as they are; others by another scene of the same shapes."""
     for description, same in (
@@ -287,8 +364,9 @@ def test_derivatives_by_vertices(tmp_path):
     assert np.abs(gradients[0]).max() > 0.1 and gradients[1] == pytest.approx(gradients[0], abs=1e-3)
 
 
-def test_recorded_functions_say_what_they_cannot_help(tmp_path):
+def test_recorded_functions_say_what_they_cannot_help(tmp_path, monkeypatch):
     """A recording traces the scene as it was loaded, and says so once; not of a scene that is known to have no gaps."""
+    monkeypatch.setattr(tracing_geometry, "_warned", False)
     for flag, times in ((True, 0), (False, 1)):
         loaded = mi.load_dict({**scene(shape_of("ply", tmp_path), 16), ROBUST: flag})
         mi.render(loaded)

@@ -89,8 +89,6 @@ class Whitted(Base):
         # Features that stay in the kernel though a scene does not need them: measurements set this.
         self.keep = frozenset() if specialize else frozenset(FEATURES)
         self.memory = Memory()
-        # Scenes that were looked at for what is not rendered: each says so once.
-        self.looked_at = set()
         # The part of the grid of samples that is rendered: a rendering in passes sets this.
         self.part = WHOLE
         # Hears the share done after each of several passes.
@@ -125,11 +123,8 @@ class Whitted(Base):
 
     def tracer(self, scene, mode=None):
         """What renders `scene`; `mode` is None or that of a derivative."""
-        if scene.ptr not in self.looked_at and not dr.flag(dr.JitFlag.FreezingScope):
-            self.looked_at.add(scene.ptr)
-            said = left_out(scene)
-            if said:
-                mi.Log(mi.LogLevel.Warn, said)
+        if self.memory.is_new(scene) and (said := left_out(scene)):
+            mi.Log(mi.LogLevel.Warn, said)
         self.ambient.settle()
         return Tracer(
             scene,

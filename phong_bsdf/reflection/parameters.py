@@ -278,6 +278,15 @@ def channels(array) -> list:
     return [array] if dr.depth_v(array) == 1 else list(array)
 
 
+def numbers(value) -> list[float]:
+    """All numbers in an array, colour or matrix. As a whole, `numpy.array(value)` would launch a kernel for each."""
+    if not dr.is_array_v(value):
+        return [float(value)]
+    if dr.depth_v(value) > 1:
+        return [number for part in value for number in numbers(part)]
+    return dr.detach(value).numpy().tolist() if dr.is_jit_v(value) else [float(number) for number in value]
+
+
 def mean(value):
     """Mean over the channels of a colour or spectrum. On its way, `dr.mean` overflows where there are many lanes."""
     return dr.sum(value) / len(value)

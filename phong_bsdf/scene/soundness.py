@@ -37,8 +37,12 @@ RIGID = ("directional", "projector", "envmap")
 # Lengths that must not be 0 or negative.
 POSITIVE = {"sphere": ("radius",), "cylinder": ("radius",)}
 
-# Rectangles, and what is made of triangles.
-FLAT = ("rectangle", "cube", "obj", "ply", "serialized", "merge", "blender")
+# What is made of triangles, which Mitsuba lights also when they are flattened; of a `rectangle` or `cube` it loses the
+# normals then.
+FLAT = ("obj", "ply", "serialized", "merge", "blender")
+
+# What may be infinite: no limit.
+LIMITS = ("far_clip", "focus_distance")
 
 
 def wrong(state: "mi.parser.ParserState") -> str | None:
@@ -69,14 +73,10 @@ def wrong_image(scene: "mi.Scene", state: "mi.parser.ParserState") -> str | None
         params = mi.traverse(emitter)
         for key in params.keys():  # noqa: SIM118
             pixels = np.array(params[key]) if key.rsplit(".", 1)[-1] == "data" else np.zeros(1)
-            bad = int(np.sum(~np.isfinite(pixels)))
-            if bad:
+            if not np.all(np.isfinite(pixels)):
                 plugin = needs.PLUGIN_OF.get(emitter.class_name(), emitter.class_name())
                 places = [mi.parser.file_location(state, n) for n in state.nodes if n.props.plugin_name() == plugin]
-                message = (
-                    f"{plugin}: its image must be finite, got NaN or infinity in {bad} of {pixels.size} values; "
-                    "mend the image"
-                )
+                message = f"{plugin}: its image must be finite, got NaN or infinity in it; mend the image"
                 return f"At {places[0]}: {message}" if len(places) == 1 else message
     return None
 
@@ -89,7 +89,7 @@ def _wrong(node) -> str | None:
     called = _called(node)
     for name in props.keys():  # noqa: SIM118
         numbers = _numbers(props, name)
-        bad = [x for x in numbers if not abs(x) <= LARGEST]
+        bad = [x for x in numbers if not abs(x) <= LARGEST and not (name in LIMITS and x == math.inf)]
         if bad:
             got = _text(numbers) if len(numbers) <= 4 else f"{bad[0]:g} among its {len(numbers)} numbers"
             remedy = "write a number" if math.isnan(bad[0]) else "float32 has numbers up to 3.4e+38"
@@ -110,7 +110,6 @@ def _wrong(node) -> str | None:
 def _deformed(node, plugin: str, called: str, matrix: np.ndarray) -> str | None:
     lengths = needs.axes(matrix)
     stretched = needs.stretched(lengths)
-    # What is flat in any case loses nothing when it is flattened.
     if node.type == mi.ObjectType.Shape and not lengths[1 if plugin in FLAT else 2] > 1e-12 * lengths[0]:
         return f"{called}: 'to_world' must not flatten it, got axes of {_text(lengths)}; scale by more than 0"
     if plugin in ROUND and stretched:

@@ -92,6 +92,11 @@ class CameraSamples:
             self.sampler.set_sample_count(wanted)
             # Samplers round the number as they need.
             self.set_spp = self.sampler.sample_count()
+            while most and self.set_spp > most and wanted > 1:
+                wanted //= 2
+                self.sampler.set_sample_count(wanted)
+                self.set_spp = self.sampler.sample_count()
+                self.sets = -(-spp // self.set_spp)
         elif draws(sensor):
             self.sampler = mi.load_dict({"type": "independent", "sample_count": wanted})
         # The last set may be shorter.

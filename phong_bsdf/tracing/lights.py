@@ -5,13 +5,13 @@ Mitsuba is served, but from a point where nothing can overflow or cancel: the fa
 1/r^2 that Mitsuba applies is never undone at the distance of the surface.
 """
 
+import math
 import operator
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ..reflection.parameters import Watch, channels
+from ..reflection.parameters import Watch, channels, is_recorded, numbers
 from .needs import LIGHTS, UnsupportedScene, is_delta
 
 # So many lights at most stand in the kernel one by one; more are a loop. A loop in the loop over the
@@ -59,7 +59,7 @@ class Finite:
         Transforms are looked at once; positions and intensities also after each change.
         """
         # A function that is recorded cannot look.
-        if dr.flag(dr.JitFlag.FreezingScope):
+        if is_recorded():
             return
         same = len(emitters) == len(self.emitters) and all(map(operator.is_, emitters, self.emitters))
         if same and self.watch and not self.watch.changed():
@@ -177,10 +177,10 @@ def _positional(emitter) -> bool:
 def _check_finite(emitter, key: str, value) -> None:
     # Any name is a swizzle of an array.
     array = value if dr.is_array_v(value) or isinstance(value, float) else value.matrix
-    numbers = np.array(dr.detach(array), np.float64).ravel()
     # The coefficients of a spectrum that is black, or white, can be infinite.
-    bad = numbers[np.isnan(numbers) if mi.is_spectral and key.endswith(".value") else ~np.isfinite(numbers)]
-    if len(bad):
+    is_bad = math.isnan if mi.is_spectral and key.endswith(".value") else lambda number: not math.isfinite(number)
+    bad = [number for number in numbers(array) if is_bad(number)]
+    if bad:
         name, parameter = emitter.id() or emitter.class_name(), key.split(".")[0]
         raise UnsupportedScene(f"whitted: '{parameter}' of the light '{name}' must be finite, got {bad[0]:g}")
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 
+from ..reflection.parameters import numbers
+
 # Component flags of mirrors and glass, and of what lets rays straight through.
 DELTA = int(mi.BSDFFlags.DeltaReflection) | int(mi.BSDFFlags.DeltaTransmission)
 NULL = int(mi.BSDFFlags.Null)
@@ -233,11 +235,8 @@ def _branches(components: list[int]) -> int:
 
 def linear_part(shape) -> list[list[float]]:
     """The 3 x 3 part of `to_world`."""
-    matrix = dr.detach(mi.traverse(shape)["to_world"].matrix)
-    if not dr.is_jit_v(matrix):
-        return [[float(matrix[i, j]) for j in range(3)] for i in range(3)]
-    # Element by element: the whole matrix would be a kernel for each shape.
-    return [[float(matrix[i, j].numpy()[0]) for j in range(3)] for i in range(3)]
+    matrix = numbers(mi.traverse(shape)["to_world"].matrix)
+    return [matrix[row : row + 3] for row in (0, 4, 8)]
 
 
 def _listed(kind: str, names: list[str], most: int = 3) -> str:

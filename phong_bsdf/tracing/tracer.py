@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import drjit as dr
 import mitsuba as mi
 
-from ..reflection.parameters import FAINT
+from ..reflection.parameters import FAINT, is_recorded
 from .dispatch import Dispatch
 from .facing import Told, interpolates, is_front
 from .geometry import Geometry, Tight
@@ -37,6 +37,17 @@ class Memory:
     finite: Finite = field(default_factory=Finite)
     seen: Seen = field(default_factory=Seen)
     tight: Tight = field(default_factory=Tight)
+    scenes: dict = field(default_factory=dict)
+
+    def is_new(self, scene) -> bool:
+        """Whether `scene` was not seen before. It is not looked at while something is recorded."""
+        # While the array is kept, no other has its number.
+        pointers = scene.shapes_dr() if dr.is_jit_v(mi.Float) else None
+        key = scene.ptr if pointers is None else pointers.index
+        if key in self.scenes or is_recorded():
+            return False
+        self.scenes[key] = pointers
+        return True
 
 
 class Tracer:
