@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pages
 
-from phong_bsdf.convergence import conclusions, lobe_errors, planning
+from phong_bsdf.convergence import conclusions, lobe_errors
 from phong_bsdf.pictures import images
 from phong_bsdf.pictures.store import Store
 from phong_bsdf.report import convergence_tables
@@ -46,7 +46,7 @@ def main():
         if name == "lobes":
             pages.insert(name, lobe_table(lobe_errors.read(Store(OUT / name))), PAGE)
             continue
-        found, pictures = conclusions.conclude(Store(OUT / name), planning.read_run(Store(OUT / name)))
+        found, pictures = conclusions.read(OUT / name)
         image = strip(pictures, SHOWN[name], conclusions.against(found.run))
         images.write(pages.IMAGES / f"study-{name}.png", image)
         plot = (OUT / name / "relmse.svg").read_text(encoding="utf-8")

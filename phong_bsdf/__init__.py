@@ -10,6 +10,8 @@ llvm.prepare()
 
 from .host import registry  # noqa: E402  (imports mitsuba, which must come after llvm.prepare)
 
+__all__ = ["__version__"]
+
 __version__ = "0.1.0"
 
 registry.register()

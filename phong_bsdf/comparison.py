@@ -13,6 +13,8 @@ from .reflection import curves, matching
 from .scene import rendering, surfaces
 from .tracing import needs
 
+__all__ = ["Choice", "Comparison", "Plan", "Replacement", "Row", "plan", "run"]
+
 ORIGINAL = "original"
 # The picture with the BSDFs that the user gave one by one.
 GIVEN = "given"
@@ -23,6 +25,7 @@ class Choice:
     """A BSDF that the user gave for one surface."""
 
     surface: str
+    """Its name in the scene."""
     plugin: str
     parameters: Mapping[str, object]
     """Numbers, colours (tuples), booleans or words."""
@@ -33,11 +36,14 @@ class Replacement:
     """What a surface is in one of the pictures."""
 
     picture: str
+    """`original`, the plugin of `against`, or `given`."""
     surface: str
+    """Its name in the scene."""
     where: str
     """File and line of the surface."""
     plugin: str
     parameters: tuple[tuple[str, str], ...]
+    """Names and values, as a user reads them."""
     notes: tuple[str, ...]
     """What could not be matched."""
 
@@ -47,6 +53,7 @@ class Row:
     """One picture: what it took, and how far it is from the original."""
 
     picture: str
+    """`original`, the plugin of `against`, or `given`."""
     swapped: int
     """Surfaces that are not the original's."""
     mse: float | None
@@ -55,12 +62,14 @@ class Row:
     max_error: float | None
     flip: float | None
     mean: float
-    """Mean over pixels and colours."""
+    """Mean over pixels and colours, linear."""
     nonfinite: int
     """Pixels that are not numbers; the errors are NaN then."""
     width: int
+    """Pixels, as the height."""
     height: int
     spp: int
+    """Samples per pixel."""
     seed: int
     seconds_loading: float
     seconds_compiling: float
@@ -72,14 +81,16 @@ class Comparison:
     """All there is to report."""
 
     scene: str
+    """Name of its file."""
     integrator: str
     """Name of its plugin."""
     rows: tuple[Row, ...]
     """The original first."""
     replacements: tuple[Replacement, ...]
     curves: tuple[curves.Curves, ...]
+    """Of each surface in each picture."""
     images: Mapping[str, np.ndarray]
-    """Picture name -> colours, (height, width, 1 or 3)."""
+    """Picture name -> colours, linear, (height, width, 1 or 3), float32."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +111,10 @@ def plan(
     against: Sequence[str] = (),
     given: Sequence[Choice] = (),
 ) -> Plan:
-    """Parse the scene and swap its surfaces, matched and checked; ValueError where that is not possible.
+    """Parse the scene in the active variant and swap its surfaces, matched and checked.
 
-    Each plugin of `against` makes one picture in which it replaces every lobe BSDF. All of
+    `defines` gives values for its `<default>`s. ValueError (SceneError where the scene is at fault) where that is not
+    possible. Each plugin of `against` makes one picture in which it replaces every lobe BSDF. All of
     `given` together make one more, in which only the surfaces named are replaced. With neither,
     `roughplastic` replaces them all.
     """
@@ -141,7 +153,11 @@ def run(
     seed: int = 0,
     on_progress: Callable[[str, float], None] = lambda picture, share: None,
 ) -> Comparison:
-    """Render every picture of the plan and compare it with the first."""
+    """Render every picture of the plan and compare it with the first.
+
+    `camera` counts from 1; `spp` samples per pixel (0: as the scene says); `size` (width, height) in pixels.
+    `on_progress` hears the name of a picture and the share of it that is done. SceneError where one cannot be rendered.
+    """
     rows, images = [], {}
     for picture, state in planned.states.items():
         on_progress(picture, 0)

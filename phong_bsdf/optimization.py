@@ -12,9 +12,14 @@ one learning rate serves all exponents, and the reflectances beside them.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+from drjit.opt import Optimizer
+
+__all__ = ["Unknown"]
 
 # Legal ranges by what `mi.traverse` calls a parameter, without `.value` or `.data`. Of an exponent, those beyond which
 # a picture of the usual size shows no difference: a lobe of the whole hemisphere, and one of less than a pixel.
@@ -31,11 +36,11 @@ class Unknown:
     """The parameters `keys` of a scene, held by the optimiser `opt` in the form in which they are optimised.
 
     `opt`: one of Mitsuba's (`mi.ad.Adam`, `mi.ad.SGD`); it gets an entry for each key, which starts at the value in
-    `params`. Exponents (`p`, `exponent`) are held as their natural logarithm. Raises KeyError for keys that the
-    scene does not have; `keys` may be a single one.
+    `params`, of `mi.traverse`. Exponents (`p`, `exponent`) are held as their natural logarithm, within 1e-2 to 1e7.
+    Raises KeyError for keys that the scene does not have; `keys` may be a single one.
     """
 
-    def __init__(self, opt, params, keys):
+    def __init__(self, opt: Optimizer, params: "mi.SceneParameters", keys: str | Sequence[str]):
         self.opt, self.keys = opt, [keys] if isinstance(keys, str) else list(keys)
         missing = [key for key in self.keys if key not in params]
         if missing:
@@ -43,14 +48,15 @@ class Unknown:
                 f"optimization: no parameter '{missing[0]}' in this scene; it has {', '.join(params.keys())}"
             )
         for key in self.keys:
-            value = type(params[key])(dr.detach(params[key]))
+            given: Any = params[key]
+            value = type(given)(dr.detach(given))
             opt[key] = dr.log(dr.clip(value, *EXPONENTS[_name(key)])) if _name(key) in EXPONENTS else value
 
-    def value(self, key):
-        """What the optimiser has found for the parameter `key`, within its legal range."""
+    def value(self, key: str) -> Any:
+        """What the optimiser has found for the parameter `key`, within its legal range, in the scene's type."""
         return self._shown(key, dr.clip(dr.detach(self.opt[key]), *bounds(key)))
 
-    def apply(self, scene):
+    def apply(self, scene: "mi.Scene") -> "mi.SceneParameters":
         """Brings what the optimiser holds into the legal range and into `scene`; returns the scene's parameters.
 
         Call it at the start of each step, and once in the end. Raises ValueError for textures and positions in a

@@ -27,7 +27,7 @@ PROSE = ("text", "math", "{toctree}")
 ELSEWHERE = ("gallery.md", "inverse-rendering.md")
 
 # Pages whose commands take more than a few seconds.
-LONG = ("README.md", "clusters.md", "compare.md", "error-vs-time.md", "quickstart.md", "test-authors.md")
+LONG = ("README.md", "clusters.md", "compare.md", "error-vs-time.md", "python.md", "quickstart.md", "test-authors.md")
 
 # The files that the pages speak of.
 SCENE = """\

@@ -1,6 +1,7 @@
 """`make docs`: builds without a warning, needs no network, and holds the manuals that the source holds."""
 
 import contextlib
+import importlib
 import re
 import subprocess
 import sys
@@ -109,3 +110,12 @@ def test_manuals_of_the_commands(site):
         section = text.partition(f'<section id="{name}">')[2].partition("</section>")[0]
         assert f"Usage: phong-bsdf {name}" in section
         assert all(option in section for p in command.params if p.param_type_name == "option" for option in p.opts)
+
+
+def test_manuals_of_the_public_modules(site):
+    """Each name of each module has a heading below that of the module; what is wrong in them would be a warning."""
+    text = (site / "python.html").read_text()
+    for module in re.findall(r"^<!-- manual of (phong_bsdf\S+) -->$", (DOCS / "python.md").read_text(), re.M):
+        section = re.split(r"<h2>", text.partition(f"<h2>{module}<")[2])[0]
+        headings = re.findall(r"<h3>(\w+)<", section)
+        assert sorted(headings) == sorted(importlib.import_module(module).__all__), module

@@ -17,6 +17,8 @@ from .hits import Undiagnosable
 from .pictures import Encoding, Picture, PictureError
 from .verdict import compare
 
+__all__ = ["Assignment", "Checked", "Finding", "Grade", "Options"]
+
 # So many explanations are kept.
 MOST_EXPLANATIONS = 5
 
@@ -28,8 +30,11 @@ class Options:
     linear: bool = False
     """PNG and JPEG hold 255 times the linear value, not its sRGB encoding."""
     tolerance: float = TOLERANCE
+    """How far a value may be off beyond its own rounding, in steps of 8 bits (1)."""
     edges: float = EDGES
+    """The part of the pixels that may be off at edges, 0 to 1 (0.002)."""
     diagnose: bool = True
+    """Whether mistakes are looked for."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +42,15 @@ class Finding:
     """An explanation, as it is told."""
 
     name: str
+    """Of the mistake, as in the table of docs/lecturers.md; of a pair both, with + between them."""
     title: str
+    """The mistake, as a student reads it."""
     advice: str
+    """What to do about it."""
     confidence: float
+    """0 to 1: `explained`, divided among the mistakes that look alike."""
     explained: float
-    """The part of what is wrong that the mistake explains."""
+    """The part of what is wrong that the mistake explains, 0 to 1."""
     same: tuple[str, ...]
     """What cannot be told from it in this scene."""
 
@@ -51,13 +60,15 @@ class Grade:
     """What there is to say about one picture."""
 
     picture: str
+    """What it is called."""
     status: str
-    """`RIGHT`, `WRONG` or `UNREADABLE`."""
+    """`right`, `wrong` or `unreadable`."""
     score: float
     """1 where it is right; else the part of the pixels, of those that show more than background, that are."""
     words: str
+    """One or two sentences for whoever made the picture."""
     pixels_off: float | None
-    """Part of all pixels."""
+    """Part of all pixels, 0 to 1; None where it could not be read."""
     mistake: Finding | None
     """The mistake to tell; None: it is right, or none of the usual ones explains it."""
     candidates: tuple[Finding, ...]
@@ -69,13 +80,17 @@ class Grade:
 
 @dataclass(frozen=True)
 class Checked:
-    """A grade with what it was formed from, encoded as the picture's file is; None where it could not be read."""
+    """A grade with what it was formed from, encoded as the picture's file is; None where it could not be read.
+
+    `picture` and `explanations` are for `Assignment.picture_of`; what they hold is internal.
+    """
 
     grade: Grade
     picture: Picture | None = None
     expected: np.ndarray | None = None
+    """The right picture, (height, width, 3), float64."""
     excess: np.ndarray | None = None
-    """In multiples of what is allowed, (height, width)."""
+    """How far each pixel is off, in multiples of what is allowed, (height, width)."""
     explanations: tuple[Explanation, ...] = field(default=())
 
 
@@ -86,7 +101,11 @@ class Assignment:
         self, path: Path, defines: Mapping[str, str] | None = None, *, camera: int = 1, spp: int = 0,
         size: tuple[int, int] | None = None, seed: int = 0, options: Options | None = None,
     ):  # fmt: skip
-        """Loads and renders; raises `rendering.SceneError`."""
+        """Load the scene in the active variant, with `defines` for its `<default>`s, and render camera number `camera`
+        (from 1) with `spp` samples per pixel (0: as the scene says) at `size` (width, height).
+
+        `rendering.SceneError` where that is not possible, or shows pixels that are not finite.
+        """
         self.options = options or Options()
         self.settings = {"camera": camera, "spp": spp, "size": size, "seed": seed}
         # Surfaces keep their names.
@@ -106,11 +125,14 @@ class Assignment:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """(width, height) in pixels."""
         return self.image.shape[1], self.image.shape[0]
 
     def check(self, file: Path, name: str | None = None) -> Checked:
-        """Compare one file, called `name`, with the rendering, and explain what is wrong; a bad file is graded, too."""
+        """Compare one file, called `name`, with the rendering, and explain what is wrong; a bad file is graded, too.
+
+        PNG, JPEG, PPM, BMP, EXR or NumPy (height, width, channels); PNG and the like need `phong-bsdf[check]`.
+        """
         name = name or Path(file).name
         try:
             picture = pictures.read(file, linear=self.options.linear, size=self.size)
@@ -122,9 +144,9 @@ class Assignment:
             # Some programs store colours that were multiplied with alpha already. What fits better was meant.
             readings = (picture.weighted, picture)
             picture = min(readings, key=lambda reading: self._compared(reading)[0].wrong.sum())
-        return self.check_picture(name, picture)
+        return self._check_picture(name, picture)
 
-    def check_picture(self, name: str, picture: Picture) -> Checked:
+    def _check_picture(self, name: str, picture: Picture) -> Checked:
         """Compare a picture that has been read, called `name`, with the rendering, and explain what is wrong."""
         encoding = picture.encoding
         verdict, expected, allowed, relative = self._compared(picture)
@@ -163,7 +185,10 @@ class Assignment:
         return verdict, expected, allowed, relative
 
     def picture_of(self, checked: Checked, explanation: Explanation) -> np.ndarray:
-        """The whole picture as a mistake makes it, encoded as the picture that was checked."""
+        """The whole picture as one of `checked.explanations` makes it, (height, width, 3).
+
+        It is encoded as the picture that was checked.
+        """
         return self._diagnostician(checked.picture.encoding).picture(explanation, checked.picture.values)
 
     def _diagnostician(self, encoding: Encoding) -> Diagnostician:

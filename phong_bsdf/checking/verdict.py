@@ -14,6 +14,8 @@ import numpy as np
 
 from ..pictures import metrics
 
+__all__ = ["Sampled", "Verdict", "compare", "compare_noisy", "sample"]
+
 # Pixels next to each other share what they see, and a mistake shows in many: means over squares of this side tell a
 # brightness that is off by 1 % where no single pixel can.
 TILE = 16
@@ -34,13 +36,13 @@ class Verdict:
     words: str
     """One or two sentences for whoever made the picture."""
     wrong: np.ndarray
-    """The pixels that are off, (height, width), without those that are forgiven."""
+    """The pixels that are off, (height, width), bool, without those that are forgiven."""
     excess: np.ndarray
     """How far each pixel is off, in multiples of what is allowed, (height, width): 1 is the limit."""
 
     @property
     def share(self) -> float:
-        """The part of the pixels that is off."""
+        """The part of the pixels that is off, 0 to 1."""
         return float(self.wrong.mean()) if self.wrong.size else 0.0
 
 
@@ -49,10 +51,11 @@ class Sampled:
     """A noisy picture: the mean of several passes of different seeds, and how much they scatter."""
 
     mean: np.ndarray
-    """(height, width, channels)."""
+    """(height, width, channels), float64."""
     variance: np.ndarray
-    """Of the mean over each tile of one pass, (rows of tiles, columns of tiles, channels)."""
+    """Of the mean over each tile of 16 x 16 pixels of one pass, (rows of tiles, columns of tiles, channels)."""
     passes: int
+    """Their number."""
 
 
 def compare(
@@ -64,11 +67,12 @@ def compare(
     ulps: int = 0,
     edges: float = 0.0,
 ) -> Verdict:
-    """Compare two pictures without noise; ValueError where their sizes or channels differ.
+    """Compare two pictures without noise, (height, width, channels), encoded in the same way.
 
-    A value is right within `absolute` + `relative` |expected|, or within `ulps` steps of float32. `edges` is the part
-    of the pixels that may be off at edges, which a rounding hits or misses: there the expected picture changes, from a
-    pixel to those around it, by at least half as much. They are forgiven if there are no more of them.
+    ValueError where their sizes or channels differ. Pixels that are not finite fail first. A value is right within
+    `absolute` + `relative` |expected|, or within `ulps` steps of float32. `edges` is the part of the pixels that may be
+    off at edges, which a rounding hits or misses: there the expected picture changes, from a pixel to those around it,
+    by at least half as much. They are forgiven if there are no more of them.
     """
     actual, expected = metrics.check_shapes(actual, expected)
     broken = _not_finite(actual, expected)
@@ -87,7 +91,10 @@ def compare(
 
 
 def sample(passes: Iterable[np.ndarray]) -> Sampled:
-    """The mean and the scatter of passes of the same scene with different seeds, at least two."""
+    """The mean and the scatter of passes, (height, width, channels), of the same scene with different seeds.
+
+    ValueError for fewer than two.
+    """
     count, mean, tiles, squares = 0, np.zeros(()), np.zeros(()), np.zeros(())
     for image in passes:
         count += 1
@@ -102,10 +109,12 @@ def sample(passes: Iterable[np.ndarray]) -> Sampled:
 
 
 def compare_noisy(actual: Sampled, expected: Sampled, *, alpha: float = ALPHA) -> Verdict:
-    """Compare two pictures with noise of their own; `alpha` is the probability of a false alarm.
+    """Compare two pictures with noise of their own; `alpha` (0.01) is the probability of a false alarm.
 
-    Welch's t-test on the means of `TILE` x `TILE` pixels, and of the whole picture, with Sidak's correction for
-    their number.
+    ValueError where their sizes or channels differ, ImportError without scipy (`phong-bsdf[check]`). By Welch's t-test
+    on the means of 16 x 16 pixels, and of the whole picture, with Sidak's correction for their number. Sources: Welch,
+    "The generalization of 'Student's' problem when several different population variances are involved", 1947; Sidak,
+    "Rectangular confidence regions for the means of multivariate normal distributions", 1967.
     """
     mean, reference = metrics.check_shapes(actual.mean, expected.mean)
     broken = _not_finite(mean, reference)

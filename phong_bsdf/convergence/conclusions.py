@@ -10,9 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from ..pictures import images, metrics
+from ..pictures.estimates import Estimate
 from ..pictures.store import Pass, Store
 from . import study, tradeoff
-from .planning import MethodRun, ReferenceRun, Run
+from .planning import MethodRun, ReferenceRun, Run, read_run
+from .study import Level, PassErrors, Result, Spread
+from .tradeoff import Cell, Table
+
+__all__ = [
+    "Cell", "Conclusions", "Estimate", "Level", "MethodRun", "PassErrors", "ReferenceFacts", "ReferenceRun", "Result",
+    "Row", "Run", "Shown", "Spread", "Table", "read",
+]  # fmt: skip
 
 # HDR-FLIP of every pass, which takes longer than reading the passes: kept beside them.
 FLIPS = "flip.json"
@@ -24,13 +32,17 @@ class ReferenceFacts:
 
     name: str
     kind: str
+    """`passes` of different seeds, a `grid`, or a `file`."""
     passes: int
+    """Their number."""
     spp: int | None
     """Samples per pixel of all passes together; None for a file."""
     relmse: float | None
     """Its own expected error, of a grid an upper bound; None where that is not known."""
     mse: float | None
+    """The same as mean squared error."""
     nonfinite: int
+    """Pixels that are no numbers."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +51,20 @@ class Shown:
 
     method: str
     spp: int
+    """Samples per pixel."""
     repeat: int
     seconds: float
+    """Median of the passes with as many samples."""
     relmse: float | None
+    """Of this pass."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One pass, with all that it depends on."""
+    """One pass, with all that it depends on: a line of `passes.csv`."""
 
     scene: str
+    """Name of its file."""
     scene_hash: str
     method: str
     integrator: str
@@ -57,12 +73,17 @@ class Row:
     bsdf: str
     reference: str
     variant: str
+    """Of Mitsuba."""
     spp: int
+    """Samples per pixel."""
     repeat: int
     seed: int
     seconds: float
+    """Of a rendering whose kernels were compiled before."""
     seconds_warmup: float
+    """What the rendering before that one took longer, if it was the scene's first or had to compile; else 0."""
     relmse: float | None
+    """The errors are those of `metrics.Errors`; None where there are pixels that are no numbers."""
     relmse_low: float | None
     """Confidence interval of the mean over the passes with as many samples."""
     relmse_high: float | None
@@ -76,9 +97,11 @@ class Row:
     flip_low: float | None
     flip_high: float | None
     nonfinite: int
+    """Pixels that are no numbers."""
     versions: str
     machine: str
     time: str
+    """When it was finished, UTC."""
 
 
 @dataclass(frozen=True)
@@ -86,16 +109,33 @@ class Conclusions:
     """All there is to report."""
 
     run: Run
-    results: tuple[study.Result, ...]
+    """What was to be measured."""
+    results: tuple[Result, ...]
+    """Of each method."""
     references: tuple[ReferenceFacts, ...]
-    equal_time: tradeoff.Table
-    equal_error: tradeoff.Table
+    equal_time: Table
+    """relMSE that each method reaches in the same seconds."""
+    equal_error: Table
+    """Seconds that each method needs for the same relMSE."""
     rows: tuple[Row, ...]
+    """Of each pass."""
     picture_seconds: float | None
     """The time that the pictures were chosen for."""
     shown: tuple[Shown, ...]
     missing: int
     """Passes that were not made, those of failed methods aside."""
+
+
+def read(folder: Path) -> tuple[Conclusions, dict[str, np.ndarray]]:
+    """What is in a folder that `phong-bsdf converge` wrote, and its pictures; nothing is rendered.
+
+    The pictures are linear, (height, width, 1 or 3), float32: those of `Conclusions.shown` by the name of their method,
+    and what each is measured against as `reference ` with the name of that (`MethodRun.limit`). HDR-FLIP that is not
+    known yet is computed, and kept in the folder. ValueError where the folder holds no such measurement; ImportError
+    without scipy (`phong-bsdf[report]`).
+    """
+    store = Store(folder)
+    return conclude(store, read_run(store))
 
 
 def conclude(
@@ -146,7 +186,7 @@ def _reference(store: Store, reference: ReferenceRun) -> study.Reference | None:
     return study.Reference(reference.name, [store.image(reference.key, p) for p in made]) if made else None
 
 
-def _result(store: Store, run: Run, method: MethodRun, reference) -> tuple[study.Result, list[Pass]]:
+def _result(store: Store, run: Run, method: MethodRun, reference) -> tuple[Result, list[Pass]]:
     made = [p for p in store.list(method.key) if p.spp in method.levels and p.repeat < run.repeats]
     failure = store.failure(method.key)
     if failure is not None or reference is None or not made:
@@ -179,7 +219,7 @@ def _flips(store: Store, method: MethodRun, reference: study.Reference, pairs) -
     return {(p.spp, p.repeat): known[f"{p.spp}/{p.repeat}"] for p, _ in pairs if f"{p.spp}/{p.repeat}" in known}
 
 
-def _at_equal_time(results: list[study.Result]) -> tuple[float | None, tuple[Shown, ...]]:
+def _at_equal_time(results: list[Result]) -> tuple[float | None, tuple[Shown, ...]]:
     """A picture of each method after about the longest time that all of them were given.
 
     Where the longest of one is shorter than the shortest of another, that shortest: each method at its best till then.
@@ -196,7 +236,7 @@ def _at_equal_time(results: list[study.Result]) -> tuple[float | None, tuple[Sho
     return time, tuple(shown)
 
 
-def _rows(run: Run, method: MethodRun, result: study.Result, made: list[Pass]) -> Iterator[Row]:
+def _rows(run: Run, method: MethodRun, result: Result, made: list[Pass]) -> Iterator[Row]:
     levels = {level.spp: level for level in result.levels}
     errors = {(e.spp, e.repeat): e for e in result.passes}
     spec = method.spec

@@ -34,7 +34,9 @@ class MethodRun:
 
     name: str
     spec: Mapping[str, Any]
+    """Integrator, parameters, sampler, sampling, bsdf and reference, as `--method` has them; "": as the scene says."""
     key: str
+    """Name of the folder with its passes."""
     limit: str
     """The reference's name."""
     levels: tuple[int, ...]
@@ -47,11 +49,13 @@ class ReferenceRun:
 
     name: str
     key: str
+    """Name of the folder with its passes."""
     kind: str
     """`passes` of different seeds, a `grid`, or a `file`."""
     levels: tuple[int, ...]
     """Samples per pixel of each pass; of a grid, its own and that of half as many across, which tells its error."""
     file: str = ""
+    """The EXR file, where it is one."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +63,18 @@ class Run:
     """What is measured, as `run.json` keeps it."""
 
     scene: str
+    """Name of its file."""
     scene_hash: str
     integrator: str
+    """Of the scene, by the name of its plugin."""
     variant: str
+    """Of Mitsuba."""
     camera: int
+    """From 1."""
     levels: tuple[int, ...]
+    """Samples per pixel to measure at."""
     repeats: int
+    """Passes for each method and number of samples."""
     seed: int
     methods: tuple[MethodRun, ...]
     references: tuple[ReferenceRun, ...]

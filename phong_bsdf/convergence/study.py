@@ -63,11 +63,13 @@ class Reference:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and quartiles of times."""
+    """Median and quartiles of times, in seconds where nothing else is said."""
 
     median: float
     low: float
+    """The lower quartile."""
     high: float
+    """The upper quartile."""
 
     @classmethod
     def of(cls, times: Sequence[float]) -> "Spread":
@@ -80,12 +82,16 @@ class PassErrors:
     """Errors of one pass; None where its picture, or the reference, holds what is no number."""
 
     spp: int
+    """Samples per pixel."""
     repeat: int
+    """Its number, from 0."""
     relmse: float | None
+    """The errors are those of `metrics.Errors`."""
     mse: float | None
     max_error: float | None
     flip: float | None
     nonfinite: int
+    """Pixels that are no numbers."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +99,11 @@ class Level:
     """One method at one number of samples."""
 
     spp: int
+    """Samples per pixel."""
     passes: int
+    """Their number."""
     seconds: Spread
+    """Of one rendering."""
     seconds_warmup: float
     """What the slowest first rendering took beyond that: compiling, mostly."""
     relmse: Estimate | None
@@ -115,8 +124,11 @@ class Result:
     """All that is known of one method."""
 
     name: str
+    """Of the method."""
     reference: str
+    """Name of what it is measured against."""
     failure: str | None
+    """Why it failed; None: it did not."""
     levels: tuple[Level, ...]
     passes: tuple[PassErrors, ...]
     slope: Estimate | None

@@ -19,6 +19,7 @@ class Cell:
     """A number in a table of methods."""
 
     estimate: Estimate
+    """relMSE, or seconds."""
     at_most: bool = False
     """The cheapest level is better already."""
 
@@ -28,7 +29,9 @@ class Table:
     """One row for each method, one column for each of `columns`."""
 
     columns: tuple[float, ...]
+    """Seconds, or relMSE."""
     rows: Mapping[str, tuple[Cell | None, ...]]
+    """Name of a method -> a cell for each column; None where it was not measured there."""
 
 
 def equal_time(results: Sequence[Result]) -> Table:

@@ -31,7 +31,8 @@ def convert_scene(
 
     Files that the scene names are looked for beside it, and only below the folder `root`
     (default: that of the scene); they stay where they are, but for images that Mitsuba 3
-    would read otherwise, which are copied into a folder beside `output`. Raises `ConversionError`.
+    would read otherwise, which are copied into a folder beside `output`. `on_progress` hears what is
+    done, and the share of it, 0 to 1. Raises `ConversionError`; nothing is written then.
     """
     path, output = Path(path), Path(output)
     check_output(path, output)

@@ -45,8 +45,10 @@ def convert_model(
     """Convert the OBJ model `path`, with its MTL files, and write a scene to `output`, an XML file.
 
     Its meshes and changed images go into a folder beside `output`. `vocabulary` says in which
-    terms highlights are written, `camera` whether the scene gets a camera that sees all of it,
-    `root` below which folder files are read (default: that of the model). Raises `ConversionError`.
+    terms highlights are written (`coefficients`, the lecture's, or `reflectances`), `camera` whether the
+    scene gets a camera that sees all of it (`auto` or `none`), `root` below which folder files are read
+    (default: that of the model). `on_progress` hears what is done, and the share of it, 0 to 1. Raises
+    `ConversionError`, also where tinyobjloader (`phong-bsdf[import]`) is missing; nothing is written then.
     """
     path, output = Path(path), Path(output)
     check_output(path, output)

@@ -21,12 +21,15 @@ class Record:
     """One thing that the new scene says in another way, or does not say."""
 
     file: str
+    """Of the old scene."""
     line: int
     """Counted from 1; 0 where the record is about the whole file."""
     kind: str
     """`change`: the same meaning in other words. `loss`: something could not be carried over, or only nearly."""
     what: str
+    """What the old scene says."""
     why: str
+    """What became of it, or why it could not be carried over."""
 
     def __str__(self):
         place = f"{self.file}, line {self.line}" if self.line else self.file
@@ -38,6 +41,7 @@ class Conversion:
     """A new scene, and the story of how it came about."""
 
     output: Path
+    """The new scene."""
     files: tuple[Path, ...]
     """Every file that was written, the scene first."""
     records: tuple[Record, ...]

@@ -18,10 +18,15 @@ CHUNK = 2**16
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its confidence interval; None where there are too few passes for one."""
+    """A number and its confidence interval, of 95 % where nothing else is said.
+
+    Sources: Student, "The probable error of a mean", 1908; of what is computed from several passes at once, the
+    jackknife of Tukey, "Bias and confidence in not-quite large samples", 1958.
+    """
 
     value: float
     low: float | None = None
+    """None, as `high`, where there are too few passes for one."""
     high: float | None = None
 
     def map(self, f: Callable[[float], float]) -> "Estimate":

@@ -18,6 +18,8 @@ import numpy as np
 
 from ..host import machine
 
+__all__ = ["color", "read_all", "read_exr", "read_metadata", "srgb", "write"]
+
 FORMATS = (".exr", ".png")
 CHANNELS = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}
 # What colours can be stored as: the names of their channels, the first that are all there count.
@@ -81,9 +83,10 @@ def check_channels(path: Path, channels: Sequence[str]) -> None:
 
 
 def color(image: np.ndarray, channels: Sequence[str] | None = None) -> np.ndarray:
-    """The colour of an image whose last axis is `channels` (None: Y, YA, RGB or RGBA), as Y, YA, RGB or RGBA.
+    """The colour of a linear image, (height, width, channels), as Y, YA, RGB or RGBA in its last axis.
 
-    X, Y and Z become linear sRGB; alpha stays as it is. ValueError where there is no colour.
+    `channels` names those that the image has (None: Y, YA, RGB or RGBA). X, Y and Z become linear sRGB, by the matrix
+    of ITU-R BT.709 as Mitsuba has it; alpha stays as it is. ValueError where there is no colour.
     """
     if channels is None:
         return image
@@ -109,7 +112,8 @@ def write(
 
     EXR holds it as it is (32-bit float), with `metadata` and a checksum as string attributes. PNG holds the colour:
     round(255 clamp(x, 0, 1)) of x = colour if `linear`, else of its sRGB encoding; with alpha the colour is divided
-    by it, as PNG wants it. Raises OSError where the file cannot be written in full.
+    by it, as PNG wants it. Raises OSError where the file cannot be written in full, ValueError where it cannot hold the
+    image: other suffixes than .exr and .png, channels that no name is given for, a PNG without colours.
     """
     path = Path(path)
     image = np.asarray(image, np.float32)
@@ -135,7 +139,8 @@ def write(
 def read_exr(path: Path) -> np.ndarray:
     """The colour in an EXR file, shape (height, width, channels), float32, channels Y or R, G, B, then A.
 
-    X, Y and Z become linear sRGB; channels beside the colour are left out. ValueError where there is no colour.
+    X, Y and Z become linear sRGB; channels beside the colour are left out. ValueError where there is no colour;
+    OpenEXR raises RuntimeError where the file is missing or broken.
     """
     OpenEXR = _openexr()
     with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -147,7 +152,10 @@ def read_exr(path: Path) -> np.ndarray:
 
 
 def read_all(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """All channels of an EXR file, (height, width, channels), float32, as they are stored, and their names."""
+    """All channels of an EXR file, (height, width, channels), float32, as they are stored, and their names.
+
+    OpenEXR raises RuntimeError where the file is missing or broken.
+    """
     OpenEXR = _openexr()
     with OpenEXR.File(str(path), separate_channels=True) as file:
         names = _ordered(file.header(), file.channels())
@@ -175,7 +183,10 @@ def _stacked(found, names: Sequence[str]) -> np.ndarray:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """The string attributes of an EXR file."""
+    """The string attributes of an EXR file, by their names.
+
+    OpenEXR raises RuntimeError where the file is missing or broken.
+    """
     OpenEXR = _openexr()
     with OpenEXR.File(str(path), header_only=True) as file:
         return {name: value for name, value in file.header().items() if isinstance(value, str)}
@@ -278,7 +289,10 @@ def _write_png(path: str, image: np.ndarray, channels: Sequence[str], linear: bo
 
 
 def srgb(colors: np.ndarray) -> np.ndarray:
-    """The sRGB encoding of linear values, clamped to [0, 1]; NaN becomes 0."""
+    """The sRGB encoding of linear values, clamped to [0, 1], in an array of the same shape; NaN becomes 0.
+
+    Source: IEC 61966-2-1.
+    """
     colors = np.clip(np.nan_to_num(colors, nan=0.0), 0, 1)
     return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+__all__ = ["Errors", "errors"]
+
 # relMSE = mean((x - r)^2 / (r^2 + EPSILON)): keeps black pixels from deciding alone.
 EPSILON = 1e-2
 
@@ -26,15 +28,20 @@ class Errors:
     mse: float
     """Mean of (x - r)^2 over pixels and channels."""
     relmse: float
-    """Mean of (x - r)^2 / (r^2 + EPSILON)."""
+    """Mean of (x - r)^2 / (r^2 + 0.01), which keeps black pixels from deciding alone."""
     max_error: float
     """Largest |x - r|."""
     flip: float | None
-    """Mean HDR-FLIP at FLIP_EXPOSURES; None where the package `flip-evaluator` is not installed."""
+    """Mean HDR-FLIP at the exposures -2, 0 and 2 stops, 0 to 1; None where `flip-evaluator` is not installed."""
 
 
 def errors(image: np.ndarray, reference: np.ndarray) -> Errors:
-    """How far `image` is from `reference`; ValueError where their shapes differ."""
+    """How far `image` is from `reference`, both linear, (height, width, channels), without their alpha.
+
+    Channels are Y, YA, RGB or RGBA. ValueError where the shapes differ. Sources: relMSE, Rousselle et al., "Adaptive
+    sampling and reconstruction using greedy error minimization", 2011; HDR-FLIP, Andersson et al., "Visualizing errors
+    in rendered high dynamic range images", 2021.
+    """
     x, r = check_shapes(image, reference)
     if nonfinite(x) or nonfinite(r):
         return Errors(math.nan, math.nan, math.nan, math.nan if has_flip() else None)

@@ -11,9 +11,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# Angles of incidence, in degrees.
+__all__ = ["ALBEDO_ANGLES", "LOBE_ANGLES", "Curves", "albedo", "lobe"]
+
 LOBE_ANGLES = (0, 30, 60, 80)
+"""Angles of incidence, in degrees, of `Curves.lobes`."""
+
 ALBEDO_ANGLES = (0, 10, 20, 30, 40, 50, 60, 65, 70, 75, 80, 85, 89)
+"""Angles of incidence, in degrees, of `Curves.albedos`."""
 
 # Exponents of the lobes that the integration points are drawn from: some one is about as wide as any highlight.
 RUNGS = tuple(16.0**k for k in range(7))
@@ -32,12 +36,15 @@ class Curves:
     """Curves of one surface in one picture."""
 
     surface: str
+    """Its name in the scene."""
     picture: str
+    """Which one, as in `comparison.Comparison.images`."""
     plugin: str
+    """What the surface is there: `phong`, `roughplastic`, ..."""
     lobes: tuple[tuple[tuple[float, float], ...], ...]
-    """For each of LOBE_ANGLES: (outgoing angle in degrees, f cos(theta_o)), positive on the mirror's side."""
+    """For each of `LOBE_ANGLES`: (outgoing angle in degrees, f cos(theta_o) in 1/sr), positive on the mirror's side."""
     albedos: tuple[float, ...]
-    """For each of ALBEDO_ANGLES: share of the incoming light that is reflected."""
+    """For each of `ALBEDO_ANGLES`: share of the incoming light that is reflected."""
 
 
 def measure(bsdf, surface: str, picture: str, plugin: str, width: float) -> Curves:
@@ -46,8 +53,12 @@ def measure(bsdf, surface: str, picture: str, plugin: str, width: float) -> Curv
     return Curves(surface, picture, plugin, lobes, tuple(albedo(bsdf, angle) for angle in ALBEDO_ANGLES))
 
 
-def lobe(bsdf, incidence: float, width: float = 0.1) -> list[tuple[float, float]]:
-    """(angle, f cos) over the half circle in the plane of incidence."""
+def lobe(bsdf: "mi.BSDF", incidence: float, width: float = 0.1) -> list[tuple[float, float]]:
+    """(angle in degrees, f cos(theta_o) in 1/sr) over the half circle in the plane of incidence.
+
+    `incidence`: angle of the light or viewer to the normal, in degrees; outgoing angles are positive on the mirror's
+    side. `width`: angle in radians within which the highlight needs finer steps. Colours are averaged.
+    """
     near = incidence + np.degrees(width) * np.linspace(-4, 4, 81)
     angles = np.unique(np.concatenate([np.arange(-89.0, 90.0, 2.0), near[np.abs(near) < 89.9]]).round(4))
     turned = np.radians(angles)
@@ -55,8 +66,13 @@ def lobe(bsdf, incidence: float, width: float = 0.1) -> list[tuple[float, float]
     return list(zip(angles.tolist(), values(bsdf, _toward(incidence), wo).tolist(), strict=True))
 
 
-def albedo(bsdf, incidence: float) -> float:
-    """Integral of f cos(theta_o) over the hemisphere, for light or viewer at `incidence` degrees."""
+def albedo(bsdf: "mi.BSDF", incidence: float) -> float:
+    """Integral of f cos(theta_o) over the hemisphere, for light or viewer at `incidence` degrees; a perfect mirror is
+    not in it.
+
+    At fixed points, so the same each time; scalar variants take fewer. Source: the balance heuristic of Veach and
+    Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", 1995.
+    """
     wo, density = _points(incidence, POINTS if dr.is_jit_v(mi.Float) else SCALAR_POINTS)
     return float(np.sum(values(bsdf, _toward(incidence), wo) / density))
 

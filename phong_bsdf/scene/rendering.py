@@ -21,6 +21,8 @@ from ..tracing import films, needs, sums
 from . import soundness
 from .errors import SceneError, located, sentence
 
+__all__ = ["LoadedScene", "Rendering", "SceneError", "load", "render", "resize"]
+
 # A pass of this many samples takes a few seconds at most: often enough for a progress bar and Ctrl-C.
 SAMPLES_PER_PASS = 2**24
 
@@ -37,13 +39,16 @@ class LoadedScene:
     """A scene in memory, with what its file says about it."""
 
     path: Path
+    """The file."""
     scene: "mi.Scene"
+    """What Mitsuba made of it."""
     integrator: str
     """Name of its class."""
     seconds: float
+    """What loading took."""
 
-    def sensor(self, camera: int):
-        """Camera number `camera`, counted from 1."""
+    def sensor(self, camera: int) -> "mi.Sensor":
+        """Camera number `camera`, counted from 1; SceneError where there is none."""
         sensors = self.scene.sensors()
         if not sensors:
             raise SceneError(f'{self.path}: the scene has no camera; add a <sensor type="perspective">')
@@ -59,11 +64,15 @@ class Rendering:
     image: np.ndarray
     """Linear, shape (height, width, channels), float32."""
     variant: str
+    """Of Mitsuba, in which it was rendered."""
     spp: int
+    """Samples per pixel that were asked for."""
     seed: int
     lights: int
+    """Lights of the scene; with `whitted` without its background, which lights nothing."""
     seconds_compiling: float
     seconds_rendering: float
+    """Without compiling."""
     compiled: bool
     """Whether a kernel was compiled that no earlier rendering of the process had needed."""
     channels: tuple[str, ...] = ()
@@ -71,7 +80,10 @@ class Rendering:
 
 
 def load(path: Path, defines: Mapping[str, str] | None = None) -> LoadedScene:
-    """Load a Mitsuba XML scene in the active variant; `defines` gives values for its `<default>`s."""
+    """Load a Mitsuba XML scene in the active variant; `defines` gives values for its `<default>`s.
+
+    SceneError, with file and line, for whatever is wrong in it, and for what no picture of it would show.
+    """
     start = time.perf_counter()
     return load_parsed(path, parse(path, defines), start)
 
@@ -164,7 +176,10 @@ def load_parsed(path: Path, state: "mi.parser.ParserState", start: float | None 
 
 
 def resize(loaded: LoadedScene, camera: int, width: int, height: int) -> None:
-    """Give the camera's film another size, without a crop window."""
+    """Give the film of camera number `camera` (from 1) another size in pixels, without a crop window.
+
+    SceneError where there is no such camera.
+    """
     params = mi.traverse(loaded.sensor(camera))
     # This resets the crop window too.
     params["film.size"] = mi.ScalarVector2u(width, height)
@@ -200,11 +215,12 @@ def render(
 ) -> Rendering:
     """Render camera number `camera` (from 1) with `spp` samples per pixel (0: as the scene says).
 
-    Large renderings go in passes, and `on_progress` hears the share done after each. A
+    The picture is linear, (height, width, channels), float32. SceneError where the scene cannot be rendered as asked.
+    Large renderings go in passes, and `on_progress` hears the share done, 0 to 1, after each. A
     `whitted` picture of n^2 samples goes in bands of rows, and depends on them only where
     rounding decides (2 pixels of 30 000 in a test). Others with the `independent` sampler go in
     passes of different seeds, and so have other noise than one pass would. Of many samples for
-    a pixel the sum is exact to 2e-6 (`sums`): of the same samples, where they are seen by rays of
+    a pixel the sum is exact to 2e-6: of the same samples, where they are seen by rays of
     one integrator; else (scalar variants, `aov`, `moment`, `ptracer`) in passes of different
     seeds, whatever the sampler. With `color` the picture is its colour, Y, YA, RGB or RGBA,
     without what the integrator or film adds; SceneError where it has none.

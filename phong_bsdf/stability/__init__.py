@@ -1,6 +1,9 @@
 """Numerical stability of the lobes: worst errors at each exponent (`measuring`) over `inputs`, against `exact` values,
 beside `naive` formulas. Imports `reflection`."""
 
-from .measuring import BARS, CASES, EXPONENTS, QUICK_CASES, Row, sweep
-
-__all__ = ["BARS", "CASES", "EXPONENTS", "QUICK_CASES", "Row", "sweep"]
+from .measuring import BARS as BARS
+from .measuring import CASES as CASES
+from .measuring import EXPONENTS as EXPONENTS
+from .measuring import QUICK_CASES as QUICK_CASES
+from .measuring import Row as Row
+from .measuring import sweep as sweep
