@@ -86,7 +86,8 @@ class Floor:
         """One ray: (how many lights its hit sees, the mirrored ray, the lanes that have one)."""
         si = self.scene.ray_intersect(mi.Ray3f(o, d), mi.RayFlags.All, coherent=depth == 0, active=active)
         n = mi.Vector3f(si.sh_frame.n)
-        front = active & si.is_valid() & (dr.dot(d, n) < 0)
+        # Black only where both normals face away.
+        front = active & si.is_valid() & ((dr.dot(d, n) < 0) | (dr.dot(d, si.n) < 0))
         start = mi.Point3f(si.p + self.epsilon * si.n)
         lit = self._from_loop(start, n, front) if self.count > FEW_LIGHTS else mi.Float(0)
         if self.count <= FEW_LIGHTS:
