@@ -7,6 +7,8 @@ import numpy as np
 import oracle
 import peers
 
+from phong_bsdf.tracing.needs import ROBUST
+
 SCENES = Path(__file__).parent.parent.parent / "scenes"
 
 # `max_depth` where nothing else is said: the course's eight mirror bounces.
@@ -77,10 +79,12 @@ def terrain(triangles, bsdf):
     return mesh
 
 
-def mesh(size, triangles=524_288):
-    """Hills of that many triangles under four lights, Blinn-Phong."""
+def mesh(size, triangles=524_288, robust=True):
+    """Hills of that many triangles under four lights, Blinn-Phong; `robust`: no ray slips between two triangles."""
     bsdf = {"type": "blinnphong", "kd": {"type": "rgb", "value": [0.5, 0.6, 0.3]}, "ks": 0.3, "p": 40}
-    return _load(size, [0, 4, 7], [0, -0.4, 0], {"terrain": terrain(triangles, bsdf), **lights_around(4)})
+    return _load(
+        size, [0, 4, 7], [0, -0.4, 0], {ROBUST: robust, "terrain": terrain(triangles, bsdf), **lights_around(4)}
+    )
 
 
 def sphere_grid(n, materials):
@@ -161,10 +165,12 @@ def under(size, bsdf, integrator):
     })  # fmt: skip
 
 
-def bouncing(size, bounces=8):
-    """The camera inside a closed box of mirrors with a ball in it: every ray goes on until the budget ends."""
+def bouncing(size, bounces=8, robust=True):
+    """The camera inside a closed box of mirrors with a ball in it: every ray goes on until the budget ends; `robust` as
+    in `mesh`."""
     mirror = {"type": "mirrorblend", "km": 0.8, "nested": {"type": "blinnphong", "ks": 0.2}}
     walls = {"type": "cube", "flip_normals": True, "to_world": mi.ScalarTransform4f().scale(4), "bsdf": mirror}
     ball = {"type": "sphere", "center": [0, -1, 0], "bsdf": mirror}
     light = {"type": "point", "position": [1, 3, 1], "intensity": 0.8}
-    return _load(size, [0.5, 1, 3.5], [0, -0.5, 0], {"walls": walls, "ball": ball, "light": light}, depth=bounces + 2)
+    objects = {ROBUST: robust, "walls": walls, "ball": ball, "light": light}
+    return _load(size, [0.5, 1, 3.5], [0, -0.5, 0], objects, depth=bounces + 2)

@@ -204,6 +204,18 @@ LOBE_TABLES = (
     ),
 )
 
+GAP_TABLES = (
+    Table(
+        "Milliseconds of a picture, rays kept from slipping between triangles or not",
+        ("scene",),
+        (
+            _of("without gaps", "without gaps", "time", MS),
+            _of("with gaps", "with gaps", "time", MS),
+            _of("without / with", "without gaps", "time / with gaps"),
+        ),
+    ),
+)
+
 CLUSTER_TABLES = (
     Table(
         "What comes to the rendering",
@@ -236,6 +248,7 @@ TABLES = {
     "cold": COLD_TABLES,
     "memory": MEMORY_TABLES,
     "lobes": LOBE_TABLES,
+    "gaps": GAP_TABLES,
     "gradients": GRADIENT_TABLES,
     "cluster": CLUSTER_TABLES,
 }
