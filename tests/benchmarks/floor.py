@@ -4,7 +4,6 @@ Interleaved with the general kernel (`specialize = false`). The rays of floor an
 counted: they differ only where rounding decides.
 """
 
-import drjit as dr
 import mitsuba as mi
 
 from phong_bsdf.tracing.needs import FEATURES
@@ -54,8 +53,6 @@ def _rays(name, build, epsilon, size):
     tasks = {"ray floor": Floor(scene, size, scenes.DEPTH, epsilon), "whitted": lambda: mi.render(scene)}
     found, kinds = [], {}
     for task, run in tasks.items():
-        # What is tried before the first picture is no part of it.
-        dr.eval(run())
         rays = counted(run)
         followed = rays["ray_intersect"] + rays["ray_intersect_preliminary"]
         kinds[task] = {"shadow rays": rays["ray_test"], "camera and mirror rays": followed}

@@ -139,7 +139,9 @@ class Floor:
 
 
 def counted(task) -> dict[str, int]:
-    """How many rays `task()` traces, by Mitsuba's function that traces them."""
+    """How many rays `task()` traces, by Mitsuba's function that traces them. What it does the first time only is no part
+    of that."""
+    dr.eval(task())
     names = ("ray_intersect", "ray_intersect_preliminary", "ray_test")
     counts = dr.zeros(mi.UInt32, len(names))
 
