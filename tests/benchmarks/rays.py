@@ -139,7 +139,7 @@ class Floor:
 
 
 def counted(task) -> dict[str, int]:
-    """How many rays `task()` traces, by Mitsuba's function that traces them, but for what it does the first time only."""
+    """How many rays `task()` traces, by Mitsuba's function for it, but for what it does the first time only."""
     dr.eval(task())
     names = ("ray_intersect", "ray_intersect_preliminary", "ray_test")
     counts = dr.zeros(mi.UInt32, len(names))
