@@ -22,10 +22,7 @@ class Dispatch:
         self.smooth, self.mirrorless = self._context(smooth), self._context(smooth | MIRRORLESS)
 
     def at(self, si, active, front=None):
-        """The material that was hit, for the other methods: the BSDF, and the interaction as it is to see it.
-
-        `front` is needed where there is a `told`: the lanes on which the surface is seen from the front.
-        """
+        """The BSDF that was hit, and the interaction as it is to see it; with a `told` that needs `front`."""
         bsdf = si.bsdf()
         return bsdf, self.told.about(si, bsdf, front, si.to_world(si.wi)) if self.told else si
 

@@ -13,6 +13,7 @@ from ..reflection.parameters import FAINT, is_recorded
 from .dispatch import Dispatch
 from .facing import Told, interpolates, is_front
 from .geometry import Geometry, Tight
+from .interfaces import Hits, Reflection
 from .lights import Dark, Finite, Lights
 from .materials import Table, is_isotropic
 from .needs import DeltaLobes, UnsupportedScene, bsdfs_of, check_lights, delta_lobes, prepared, wake
@@ -78,7 +79,7 @@ class Tracer:
         check_lights(scene)
         memory.finite.check(scene.emitters())
         self.lights = Lights(scene, None if gradients or "lights" in keep else memory.dark, keep)
-        self.geometry = Geometry(scene, memory.tight)
+        self.geometry: Hits = Geometry(scene, memory.tight)
         self.surfaces = Surfaces(scene, memory.seen)
         self.background = scene.environment()
         self.course = convention == "course"
@@ -114,8 +115,9 @@ class Tracer:
             self.deltas = prepared(DeltaLobes(branches=int(mirror), fading=mirror), keep)
         else:
             self.deltas = delta_lobes(self.scene, keep)
-        self.materials = self.table or Dispatch(self.deltas, self._told())
-        self.sided = self.course and (interpolates(self.scene) if self.table else self.materials.told is not None)
+        told = None if self.table else self._told()
+        self.materials: Reflection = self.table or Dispatch(self.deltas, told)
+        self.sided = told is not None or (self.table is not None and self.course and interpolates(self.scene))
         if self.gradients and self.deltas.branches > 1:
             raise UnsupportedScene(
                 "whitted: no derivatives where a surface both reflects and refracts (dielectric, thindielectric), or "
