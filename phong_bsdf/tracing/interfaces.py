@@ -23,8 +23,8 @@ class Reflection(Protocol):
     def diffuse_reflectance(self, material, si, last, active) -> Any:
         """Diffuse reflectance; `last` as in `eval`."""
 
-    def mirrors(self, material, si, active) -> list[tuple]:
-        """The rays that go on: (direction in world space, weight, lanes) for each delta lobe."""
+    def mirrors(self, material, si, active) -> Any:
+        """The rays that go on, a list of (direction in world space, weight, lanes), one for each delta lobe."""
 
 
 class Hits(Protocol):
