@@ -3,12 +3,11 @@
 import re
 from dataclasses import replace
 
-import mistaken
 import numpy as np
-import oracle
 import pytest
 from PIL import Image
 
+from helpers import ROOT, mistaken, oracle
 from phong_bsdf.checking import diagnosis, grading, shading, stage
 from phong_bsdf.scene import rendering
 
@@ -226,9 +225,8 @@ def test_mistakes_that_look_alike_are_all_told(check):
                                   "course/textured.xml", "lecture/mirror-floor.xml", "lecture/models.xml"))  # fmt: skip
 def test_the_right_recipe_is_whitted(path):
     """The renderer of the mistakes without one is the integrator, to rounding: they cannot drift apart."""
-    from pathlib import Path
 
-    scene = Path(__file__).parent.parent / "scenes" / path
+    scene = ROOT / "scenes" / path
     loaded = rendering.load(scene, {"width": "90", "height": "60"})
     image = rendering.render(loaded).image
     traced = stage.Stage(loaded.scene)

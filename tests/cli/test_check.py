@@ -2,15 +2,14 @@
 
 import json
 import re
-from pathlib import Path
 
-import mistaken
 import numpy as np
 import pytest
-from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
+from helpers import ROOT, mistaken
+from helpers.browsing import opened
 from phong_bsdf.checking import mistakes
 from phong_bsdf.checking.hits import Material
 from phong_bsdf.cli import main
@@ -231,7 +230,7 @@ def test_pages(folder, browser):
 
 def test_every_mistake_is_documented():
     """docs/lecturers.md lists them all, and no other."""
-    text = (Path(__file__).parent.parent / "docs/lecturers.md").read_text()
+    text = (ROOT / "docs/lecturers.md").read_text()
     listed = set(re.findall(r"`([\w-]+)`", " ".join(re.findall(r"^\| (`.*?) \|", text, re.M))))
     materials = [Material("a", "phong", (0.1,), 3.0), Material("b", "blinnphong", (0.2,), 4.0)]
     known = {"square": True, "lights": 2, "shadows": True, "mirror_bounces": 2, "plane": 1.0}

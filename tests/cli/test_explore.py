@@ -1,15 +1,13 @@
-"""`phong-bsdf explore`: writes the page and opens it. What the page does is in tests/test_explorer.py."""
+"""`phong-bsdf explore`: writes the page and opens it. What the page does is in tests/report/test_explorer.py."""
 
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from click.testing import CliRunner
 
+from helpers import ROOT
 from phong_bsdf.cli import main
-
-ROOT = Path(__file__).parent.parent
 
 
 def test_opens_in_the_browser(tmp_path):

@@ -13,11 +13,12 @@ import OpenEXR
 import pytest
 from click.testing import CliRunner
 
+from helpers import SCENES
 from phong_bsdf.cli import main
 from phong_bsdf.host import machine
 from phong_bsdf.pictures import images
 
-COURSE = Path(__file__).parent.parent / "scenes/course/scene-3.xml"
+COURSE = SCENES / "course/scene-3.xml"
 
 # A lit sphere that fills part of the picture; its colour reaches above 1. Tests refer to its lines.
 SCENE = """\

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from helpers import ROOT
 from phong_bsdf.cli import main
 from phong_bsdf.cli import passes as command
 from phong_bsdf.pictures import images, parts
@@ -22,7 +23,6 @@ from phong_bsdf.progressive import running
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parent.parent
 SCENE = ROOT / "scenes/compare/balls.xml"
 MIRRORS = ROOT / "scenes/lecture/mirror-floor.xml"
 OPTIONS = ("--size", "24x16", "--spp", "32", "--pass-spp", "4")

@@ -8,13 +8,13 @@ import sys
 import threading
 from pathlib import Path
 
-import errands
 import mitsuba as mi
 import psutil
 import pytest
-from dask_processes import ENVIRONMENT, PATIENCE, free_port, processes, until
 
 import phong_bsdf
+from helpers import SCENES, errands
+from helpers.dask_processes import ENVIRONMENT, PATIENCE, free_port, processes, until
 from phong_bsdf.cluster import connection, orders, work
 from phong_bsdf.cluster.connection import ClusterError, address, connected
 from phong_bsdf.cluster.orders import Order, Orders
@@ -22,7 +22,7 @@ from phong_bsdf.scene import bundle
 
 pytestmark = pytest.mark.usefixtures("limited")
 
-SCENE = Path(__file__).parent.parent / "scenes/course/textured.xml"
+SCENE = SCENES / "course/textured.xml"
 
 
 @pytest.fixture(scope="module")

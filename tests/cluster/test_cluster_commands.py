@@ -13,15 +13,15 @@ import numpy as np
 import psutil
 import pytest
 from click.testing import CliRunner
-from dask_processes import PATIENCE, Processes, end, processes, python, until
 
+from helpers import SCENES
+from helpers.dask_processes import PATIENCE, Processes, end, processes, python, until
 from phong_bsdf.cli import clusters, main
 from phong_bsdf.cluster.connection import address, connected
 from phong_bsdf.pictures import images
 
 pytestmark = pytest.mark.usefixtures("limited")
 
-SCENES = Path(__file__).parent.parent / "scenes"
 BALLS = SCENES / "compare/balls.xml"
 FLOOR = SCENES / "lecture/mirror-floor.xml"
 

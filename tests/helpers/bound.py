@@ -1,4 +1,4 @@
-"""`python -m bound MODULE ...` is `python -m MODULE ...` that ends with the process that started it."""
+"""`python -m helpers.bound MODULE ...` is `python -m MODULE ...` that ends with the process that started it."""
 
 import contextlib
 import ctypes

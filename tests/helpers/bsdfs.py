@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from small_scenes import film, look
+
+from helpers.small_scenes import film, look
 
 KINDS = ("phong", "blinnphong")
 VOCABULARIES = {

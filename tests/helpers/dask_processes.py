@@ -12,14 +12,14 @@ from pathlib import Path
 
 import psutil
 
-TESTS = Path(__file__).parent
+from helpers import ROOT
 
 # Processes start in some seconds; on a busy machine in many.
 PATIENCE = 120
 
 ENVIRONMENT = {
     **os.environ,
-    "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)]),
+    "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     # A task over which workers die is given up after two, not four.
     "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
 }
@@ -36,7 +36,7 @@ def until(condition, seconds=PATIENCE):
 
 def python(module, *arguments, inside=(), **options):
     """A process that runs a module; `inside`: a command that it runs in."""
-    words = [*inside, sys.executable, "-m", "bound", module, *arguments]
+    words = [*inside, sys.executable, "-m", "helpers.bound", module, *arguments]
     return subprocess.Popen([*map(str, words)], env=ENVIRONMENT, **options)
 
 

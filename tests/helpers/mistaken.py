@@ -7,7 +7,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from oracle import Camera, Light, Scene, Sphere, dot, intersect, normalize
+
+from helpers.oracle import Camera, Light, Scene, Sphere, dot, intersect, normalize
 
 # Spheres of radius other than 1, highlights under mirrors, lights of different lengths: every mistake shows.
 CLASS = {

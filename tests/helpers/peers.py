@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from oracle import Camera, Light, Scene, Sphere
+
+from helpers.oracle import Camera, Light, Scene, Sphere
 
 # Half a step of the peers' 16-bit files.
 HALF_STEP = 0.5 / 65535

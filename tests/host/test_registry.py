@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import phong_bsdf
+from helpers.variants import CPU_VARIANTS
 
-CPU_VARIANTS = [name for name in mi.variants() if not name.startswith("cuda")]
 KINDS = {"phong": "bsdf", "blinnphong": "bsdf", "mirrorblend": "bsdf", "whitted": "integrator"}
 
 SPHERE = {"type": "sphere", "center": [0, 0, 3]}

@@ -6,9 +6,9 @@ import sys
 import mitsuba as mi
 import numpy as np
 import pytest
-from models import MTL, converting, square
 
 import phong_bsdf  # noqa: F401
+from helpers.models import MTL, converting, square
 from phong_bsdf.importers import ConversionError, convert_model, meshes, objfile
 from phong_bsdf.importers.records import Journal
 

@@ -10,9 +10,9 @@ import xml.etree.ElementTree as ET
 import mitsuba as mi
 import numpy as np
 import pytest
-from models import BACK, KD, KS, MTL, NS, VIEW, converting, square, sums
 
 import phong_bsdf  # noqa: F401
+from helpers.models import BACK, KD, KS, MTL, NS, VIEW, converting, square, sums
 from phong_bsdf.pictures import images
 
 

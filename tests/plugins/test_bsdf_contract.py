@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import BSDFS, WITH_LOBES, hemisphere, incidence, interaction
+
+from helpers.bsdfs import BSDFS, WITH_LOBES, hemisphere, incidence, interaction
 
 ANGLES = (0, 20, 45, 70, 85)
 

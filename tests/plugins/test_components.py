@@ -7,7 +7,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import (
+
+from helpers.bsdfs import (
     ADAPTERS,
     KINDS,
     LOBE_FLAGS,
@@ -29,7 +30,7 @@ from bsdfs import (
     pixels,
     row,
 )
-from small_scenes import render
+from helpers.small_scenes import render
 
 # Components and contexts ------------------------------------------------------------------------------------
 

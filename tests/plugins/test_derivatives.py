@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import BSDFS, hemisphere, incidence, interaction
+
+from helpers.bsdfs import BSDFS, hemisphere, incidence, interaction
 
 
 @pytest.mark.parametrize("p", (0, 30, 1e6))

@@ -4,8 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import VOCABULARIES, both_lobes, material, mirror, pixels, row
-from small_scenes import render
+
+from helpers.bsdfs import VOCABULARIES, both_lobes, material, mirror, pixels, row
+from helpers.small_scenes import render
 
 INTEGRATORS = {"path": {"type": "path", "max_depth": 4}, "direct": {"type": "direct"}}
 

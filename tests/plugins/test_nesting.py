@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import (
+
+from helpers.bsdfs import (
     ADAPTERS,
     LOBES,
     OURS,
@@ -21,7 +22,7 @@ from bsdfs import (
     pixels,
     row,
 )
-from small_scenes import render
+from helpers.small_scenes import render
 
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow

@@ -9,7 +9,6 @@ met.
 import math
 import subprocess
 import sys
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -343,14 +342,27 @@ def test_branches_of_a_slab(variant):
             assert image[0, 0] == pytest.approx(0.8 * 2 * n / (n * n + 1), rel=1e-5)
 
 
+# As in `test_branches_of_a_slab`.
 DEEP = """
-import phong_bsdf, mitsuba as mi, numpy as np, sys
+import phong_bsdf, mitsuba as mi, sys
 mi.set_variant("llvm_ad_rgb")
-sys.path.insert(0, "tests")
-import test_physical as t
-lit = t.wall((0, 0, -2), (0, 0, 0), 9, {"type": "phong", "kd": 0.8, "ks": 0})
-scene = t.load(t.camera((0, 0, 3), (0, 0, 0), 1, fov=1e-3), slab=t.slab(0, 1), lit=lit)
-print(t.whitted(scene, ambient=1.0, max_depth=int(sys.argv[1]))[0, 0, 0])
+T = mi.ScalarTransform4f()
+GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+scene = mi.load_dict({
+    "type": "scene",
+    "integrator": {"type": "whitted", "convention": "physical", "ambient": 1.0, "max_depth": int(sys.argv[1])},
+    "sensor": {
+        "type": "perspective", "fov": 1e-3, "near_clip": 1e-3, "to_world": T.look_at([0, 0, 3], [0, 0, 0], [0.1, 1, 0]),
+        "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+        "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
+    },
+    "slab": {"type": "cube", "to_world": T.translate([0, 0, 0.5]).scale([9, 9, 0.5]), "bsdf": GLASS},
+    "lit": {
+        "type": "rectangle", "to_world": T.look_at([0, 0, -2], [0, 0, 0], [0.1, 1, 0]).scale(9),
+        "bsdf": {"type": "phong", "kd": 0.8, "ks": 0},
+    },
+})
+print(mi.render(scene)[0, 0, 0])
 """
 
 
@@ -358,9 +370,8 @@ print(t.whitted(scene, ambient=1.0, max_depth=int(sys.argv[1]))[0, 0, 0])
 @pytest.mark.parametrize("max_depth", (30, 60))
 def test_deep_branches_of_a_slab(max_depth):
     """A larger max_depth than the branches need adds nothing. (In a process of its own.)"""
-    root = Path(__file__).parent.parent
-    result = subprocess.run([sys.executable, "-c", DEEP, str(max_depth)], cwd=root, capture_output=True, text=True)
-    assert result.returncode == 0
+    result = subprocess.run([sys.executable, "-c", DEEP, str(max_depth)], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
     assert float(result.stdout) == pytest.approx(0.8 * 12 / 13, rel=1e-5)
 
 

@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import interaction
 
+from helpers.bsdfs import interaction
 from phong_bsdf.reflection.albedo import directional_albedo
 
 VOCABULARIES = {

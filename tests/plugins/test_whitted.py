@@ -2,18 +2,15 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
-from small_scenes import look, point, render, rgb
 
+from helpers import SCENES, oracle
+from helpers.small_scenes import look, point, render, rgb
 from phong_bsdf.pictures.images import to_8bit
-
-SCENES = Path(__file__).parent.parent / "scenes"
 
 # Row, column (from 1, top left) and value; then the picture's mean.
 COURSE_VALUES = {

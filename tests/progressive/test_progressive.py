@@ -4,13 +4,13 @@ import math
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from helpers import ROOT
 from phong_bsdf.pictures import parts
 from phong_bsdf.pictures.store import Store
 from phong_bsdf.progressive import folder as folders
@@ -20,7 +20,6 @@ from phong_bsdf.scene import rendering
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parent.parent
 GLOSSY, MIRRORS = ROOT / "scenes/compare/balls.xml", ROOT / "scenes/lecture/mirror-floor.xml"
 SIZE = (40, 30)
 

@@ -4,7 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import BSDFS, interaction
+
+from helpers.bsdfs import BSDFS, interaction
 
 # Each is the same direction, and the same random numbers, in another form.
 DIRECTIONS = {

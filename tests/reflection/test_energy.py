@@ -7,7 +7,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import (
+
+from helpers.bsdfs import (
     KINDS,
     RADIANCE,
     VOCABULARIES,
@@ -21,8 +22,7 @@ from bsdfs import (
     pane,
     pixels,
 )
-from small_scenes import render
-
+from helpers.small_scenes import render
 from phong_bsdf.reflection.albedo import directional_albedo
 
 # Each of them is quick, all of them are not.

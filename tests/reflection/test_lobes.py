@@ -7,9 +7,9 @@ import mitsuba as mi
 import mpmath as mp
 import numpy as np
 import pytest
-from mpmath_lobes import by_mpmath, numbered_pairs
 from scipy import stats
 
+from helpers.mpmath_lobes import by_mpmath, numbered_pairs
 from phong_bsdf import stability
 from phong_bsdf.reflection import lobes
 from phong_bsdf.reflection.parameters import LARGEST_EXPONENT

@@ -8,10 +8,10 @@ import re
 import mitsuba as mi
 import numpy as np
 import pytest
-from browsing import opened
 from click.testing import CliRunner
 from PIL import Image
 
+from helpers.browsing import opened
 from phong_bsdf.cli import main
 from phong_bsdf.pictures import images
 from phong_bsdf.reflection import lobes

@@ -5,9 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from browsing import opened
 from click.testing import CliRunner
 
+from helpers.browsing import opened
 from phong_bsdf.cli import main
 from phong_bsdf.pictures import images
 from phong_bsdf.report import page as pages

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from browsing import opened
 from click.testing import CliRunner
 
+from helpers.browsing import opened
 from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors

@@ -3,16 +3,14 @@
 import os
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers import SCENES
 from phong_bsdf.pictures import images
 from phong_bsdf.scene import bundle, rendering
 from phong_bsdf.scene.bundle import BundleError
-
-SCENES = Path(__file__).parent.parent / "scenes"
 
 # Nested includes, a search path, a define in a file name, a texture beside the scene, an absolute mesh, dollars.
 MAIN = """\

@@ -6,9 +6,10 @@ from pathlib import Path
 import mitsuba as mi
 import pytest
 
+from helpers import SCENES
 from phong_bsdf.scene import fingerprint, rendering
 
-COURSE = Path(__file__).parent.parent / "scenes/course"
+COURSE = SCENES / "course"
 
 SCENE = """<scene version="3.0.0">
     <default name="p" value="30"/>

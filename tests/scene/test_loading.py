@@ -7,22 +7,22 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import material, mirror, pixels, row
-from conftest import CPU_VARIANTS
-from small_scenes import render
 
+from helpers import ROOT
+from helpers.bsdfs import material, mirror, pixels, row
+from helpers.small_scenes import render
+from helpers.variants import CPU_VARIANTS
 from phong_bsdf.host import registry
 from phong_bsdf.pictures import images
 from phong_bsdf.scene import rendering
 from phong_bsdf.scene.errors import SceneError
 
-STOPPED = Path(__file__).parent / "stopped_pool.py"
+STOPPED = ROOT / "tests/helpers/stopped_pool.py"
 
 
 def stopped(*words):

@@ -7,9 +7,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from messages import messages
-from small_scenes import PHONG, film, look, point
 
+from helpers.messages import messages
+from helpers.small_scenes import PHONG, film, look, point
 from phong_bsdf.cli import main
 from phong_bsdf.scene import rendering, soundness
 from phong_bsdf.tracing import needs

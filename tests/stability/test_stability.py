@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mpmath_lobes import by_mpmath, numbered_pairs
 
+from helpers.mpmath_lobes import by_mpmath, numbered_pairs
 from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.reflection import lobes

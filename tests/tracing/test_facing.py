@@ -3,19 +3,16 @@ normals, geometric and shading, face away from the viewer."""
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
-from small_scenes import look, rgb
 
+from helpers import SCENES, oracle
+from helpers.small_scenes import look, rgb
 from phong_bsdf.checking import shading, stage
 from phong_bsdf.tracing.facing import interpolates
-
-SCENES = Path(__file__).parent.parent / "scenes"
 
 CORNERS = ((-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 KD, KS, P = (0.8, 0.5, 0.2), (0.3, 0.6, 0.9), 7.0

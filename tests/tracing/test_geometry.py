@@ -4,9 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from messages import messages
-from small_scenes import film, look
 
+from helpers.messages import messages
+from helpers.small_scenes import film, look
 from phong_bsdf.importers import convert_model
 from phong_bsdf.scene import rendering
 from phong_bsdf.tracing.gaps import has_gaps

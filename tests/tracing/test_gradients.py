@@ -9,11 +9,11 @@ from unittest import mock
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
-from oracle import Light, Scene, Sphere
-from small_scenes import film, look, point, rgb
 
+from helpers import oracle
+from helpers.oracle import Light, Scene, Sphere
+from helpers.small_scenes import film, look, point, rgb
 from phong_bsdf.tracing import camera
 
 # Each of them is quick, all of them are not.

@@ -1,17 +1,15 @@
 """Pictures of more samples than one kernel should or can have."""
 
 import math
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from helpers import SCENES
 from phong_bsdf.scene import rendering
 from phong_bsdf.tracing import camera
-
-SCENES = Path(__file__).parent.parent / "scenes"
 
 
 def lecture_scene(film, spp, sampler="independent"):

@@ -4,9 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import mirror
-from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
+from helpers.bsdfs import mirror
+from helpers.small_scenes import BLINN, PHONG, POINTS, SUN, balls
 from phong_bsdf.tracing.materials import Table
 from phong_bsdf.tracing.needs import FEATURES, REQUIRED
 

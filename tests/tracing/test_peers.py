@@ -9,10 +9,10 @@ import shutil
 from unittest import mock
 
 import numpy as np
-import oracle
-import peers
 import pytest
-from peers import HALF_STEP, TACHYON_HORIZON, lecture_scene
+
+from helpers import oracle, peers
+from helpers.peers import HALF_STEP, TACHYON_HORIZON, lecture_scene
 
 import phong_bsdf  # noqa: F401  # isort: skip  (before mitsuba: it chooses the LLVM)
 import mitsuba as mi  # isort: skip

@@ -1,17 +1,16 @@
 """The scenes of `scenes/stress/`, each against the value that its header promises."""
 
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
 
-SCENES = Path(__file__).parent.parent / "scenes/stress"
+from helpers import SCENES, oracle
+
+STRESS = SCENES / "stress"
 
 
 def render(name, **defines):
-    scene = mi.load_file(str(SCENES / f"{name}.xml"), **{k: str(v) for k, v in defines.items()})
+    scene = mi.load_file(str(STRESS / f"{name}.xml"), **{k: str(v) for k, v in defines.items()})
     image = np.array(mi.render(scene))
     assert np.all(np.isfinite(image))
     return image

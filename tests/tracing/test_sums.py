@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from helpers import SCENES
 from phong_bsdf.checking import references
 from phong_bsdf.cli import main
 from phong_bsdf.pictures import images
@@ -19,7 +20,7 @@ from phong_bsdf.pictures.estimates import WeightedMean
 from phong_bsdf.scene import rendering
 from phong_bsdf.tracing import camera, sums
 
-LECTURE = Path(__file__).parent.parent / "scenes/lecture"
+LECTURE = SCENES / "lecture"
 VALUE = float(np.float32(0.1))
 
 # The loss that is promised; float32 pictures of float32 weights alone may lose 1e-7.
