@@ -125,7 +125,7 @@ def normalize(v):
 
 
 def dot(a, b):
-    return np.sum(a * b, axis=-1)
+    return np.einsum("...i,...i->...", a, b)
 
 
 def render(scene, width=490, height=490, start=None):

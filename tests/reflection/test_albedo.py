@@ -1,5 +1,6 @@
 """Directional albedo: the integral against brute force and closed forms, the table against the integral."""
 
+import functools
 import math
 
 import drjit as dr
@@ -12,12 +13,19 @@ from phong_bsdf.reflection import albedo, lobes
 COMBINATIONS = [(lobe, reflectance) for lobe in albedo.LOBES for reflectance in (False, True)]
 
 
-def brute_force(lobe, cos_theta_i, p, reflectance, n=500):
-    """Midpoints in azimuth, Gauss-Legendre in the cosine of wo; nothing known of lobes or half vectors."""
+@functools.cache
+def half_of_the_directions(n):
+    """Cosines, their weights, and (n, n) directions: Gauss-Legendre in the cosine, midpoints in azimuth."""
     x, weights = np.polynomial.legendre.leggauss(n)
     cos, phi = (x + 1) / 2, (np.arange(n) + 0.5) / n * math.pi
     sin = np.sqrt(1 - cos**2)
     wo = np.stack(np.broadcast_arrays(sin[:, None] * np.cos(phi), sin[:, None] * np.sin(phi), cos[:, None]), axis=-1)
+    return cos, weights, wo
+
+
+def brute_force(lobe, cos_theta_i, p, reflectance, n=500):
+    """The sum over all directions wo; nothing known of lobes or half vectors."""
+    cos, weights, wo = half_of_the_directions(n)
     wi = np.array([math.sqrt(1 - cos_theta_i**2), 0, cos_theta_i])
     if lobe == "phong":
         cosine = np.maximum(wo @ (wi * [-1, -1, 1]), 0)

@@ -238,13 +238,19 @@ SMOOTH_MESH = oracle.Scene(
 )
 
 
+@pytest.fixture(scope="module")
+def smooth_mesh():
+    """The oracle's picture."""
+    return oracle.render(replace(SMOOTH_MESH, meshes=[pebble()]), 160, 160)
+
+
 @pytest.mark.parametrize("specialize", ("true", "false"))
-def test_smooth_mesh(specialize):
+def test_smooth_mesh(smooth_mesh, specialize):
     """Off edges every pixel is the oracle's; 0.1 % may be on another side of one."""
     text = (SCENES / "course/smooth-mesh.xml").read_text().replace("models/", f"{SCENES}/course/models/")
     text = text.replace('"whitted">', f'"whitted"><boolean name="specialize" value="{specialize}"/>')
     image = np.array(mi.render(mi.load_string(text, width="160", height="160")))
-    error = np.abs(image - oracle.render(replace(SMOOTH_MESH, meshes=[pebble()]), 160, 160)).max(axis=2)
+    error = np.abs(image - smooth_mesh).max(axis=2)
     assert np.mean(error > 1e-2) <= 1e-3
     assert np.mean(error > 3e-4) <= 2e-3
 
