@@ -6,21 +6,22 @@ import signal
 import phong_bsdf  # noqa: F401  (before mitsuba: it chooses the LLVM)
 
 import mitsuba as mi  # isort: skip
-import browsing
-import dask_processes
-import messages as logged
 import pytest
+
+from helpers import browsing, dask_processes, syntax
+from helpers import messages as logged
+from helpers.variants import CPU_VARIANTS
 
 # A shell ignores Ctrl-C for what it runs in the background, and so would all processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+syntax.remember()
 
 # For what test modules build when they are imported.
 mi.set_variant("llvm_ad_rgb")
 
 # Seconds that a test of processes may take on a machine that is busy with other things.
 LONGEST = 300
-
-CPU_VARIANTS = [name for name in mi.variants() if name.startswith(("scalar", "llvm"))]
 
 
 def pytest_collection_finish(session):

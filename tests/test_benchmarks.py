@@ -6,7 +6,6 @@ import math
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 from unittest import mock
 
 import phong_bsdf  # noqa: F401
@@ -15,11 +14,13 @@ import drjit as dr  # isort: skip
 import mitsuba as mi
 import numpy as np
 import pytest
-from benchmarks import __main__ as command
-from benchmarks import measure, rays, scenes, tables, targets
 from click.testing import CliRunner
 
-DOCS = Path(__file__).parent.parent / "docs"
+from benchmarks import __main__ as command
+from benchmarks import measure, rays, scenes, tables, targets
+from helpers import ROOT
+
+DOCS = ROOT / "docs"
 
 MEASURED = {}
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from helpers import SCENES
 from phong_bsdf import comparison
 from phong_bsdf.cli import main
 from phong_bsdf.pictures import images, metrics
@@ -23,7 +24,6 @@ from phong_bsdf.scene import rendering, surfaces
 # Each of them is quick, all of them are not.
 pytestmark = pytest.mark.slow
 
-SCENES = Path(__file__).parent.parent / "scenes"
 
 # Two balls; the BSDFs of the left one, line 12, and of the right one, line 16, are filled in.
 SCENE = """\

@@ -7,10 +7,11 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
+from helpers import SCENES
 from phong_bsdf import demo
 from phong_bsdf.cli import main, session
 
-LECTURE = sorted((Path(__file__).parent.parent / "scenes/lecture").glob("*.xml"))
+LECTURE = sorted((SCENES / "lecture").glob("*.xml"))
 
 
 @pytest.fixture

@@ -13,8 +13,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from documents import PAGES, ROOT, Block, blocks, headings, links
 
+from helpers import ROOT
+from helpers.documents import PAGES, Block, blocks, headings, links
 from phong_bsdf import stability
 from phong_bsdf.cli import main
 from phong_bsdf.convergence import lobe_errors
@@ -258,6 +259,15 @@ def test_measured_tables_are_filled_in(page):
 # Links and figures --------------------------------------------------------------------------------------------
 
 
+def test_tests_that_are_named_are_there():
+    """In pages, scenes and source."""
+    folders = [ROOT / name for name in ("docs", "scenes", "phong_bsdf", "tests")]
+    files = [ROOT / "README.md", *(p for f in folders for p in f.rglob("*") if p.suffix in (".md", ".xml", ".py"))]
+    named = {(path.name, name) for path in files for name in re.findall(r"\btests/[\w/]+\.py", path.read_text())}
+    assert len(named) > 30
+    assert [pair for pair in sorted(named) if not (ROOT / pair[1]).is_file()] == []
+
+
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "scenes/README.md", ROOT / "CHANGELOG.md"], ids=lambda p: p.name)
 def test_links_lead_somewhere(page):
     """Files and headings of this project exist; addresses elsewhere are https."""
@@ -275,6 +285,7 @@ def test_every_picture_is_shown_and_made_by_a_command(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "docs")
     import figures
     import study
+
     from benchmarks import plots
 
     made = {*figures.FIGURES, "stability-value.svg", "explorer.png"}

@@ -2,14 +2,13 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from helpers import ROOT
 from phong_bsdf.cli import main
 
-ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs/error-vs-time.md").read_text()
 LIGHTS = ROOT / "scenes/converge/thousand-lights.xml"
 

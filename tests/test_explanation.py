@@ -6,10 +6,10 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
-from bsdfs import mirror
 from click.testing import CliRunner
-from small_scenes import BLINN, PHONG, POINTS, SUN, balls
 
+from helpers.bsdfs import mirror
+from helpers.small_scenes import BLINN, PHONG, POINTS, SUN, balls
 from phong_bsdf import explanation
 from phong_bsdf.cli import main
 from phong_bsdf.report import explanation as report

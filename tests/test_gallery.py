@@ -2,15 +2,14 @@
 
 import importlib.util
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from helpers import ROOT
 from phong_bsdf.pictures import images
 
-ROOT = Path(__file__).parent.parent
 SCENES = sorted(path for path in (ROOT / "scenes").rglob("*.xml") if path.name != "cameras.xml")
 
 specification = importlib.util.spec_from_file_location("gallery", ROOT / "docs/gallery.py")

@@ -4,11 +4,11 @@ import ast
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from helpers import ROOT
+
 PACKAGE = ROOT / "phong_bsdf"
 
 
@@ -52,6 +52,12 @@ def test_imports_go_up_the_table(path):
     assert here in layers, f"docs/architecture.md does not list {here}"
     for other in imported(path):
         assert other == here or layers[other] < layers[here], f"{here} imports {other}"
+
+
+def test_tests_have_the_same_folders():
+    """Where the tests of a module are, its own place tells."""
+    folders = {path.parent for path in (ROOT / "tests").rglob("test_*.py")} - {ROOT / "tests"}
+    assert folders and all((PACKAGE / path.relative_to(ROOT / "tests")).is_dir() for path in folders)
 
 
 def test_every_documented_room_exists():

@@ -3,17 +3,15 @@
 import importlib.util
 import math
 import re
-from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from small_scenes import look, point
 
+from helpers import ROOT
+from helpers.small_scenes import look, point
 from phong_bsdf.optimization import Unknown, bounds
-
-ROOT = Path(__file__).parent.parent
 
 specification = importlib.util.spec_from_file_location("inverse", ROOT / "docs/inverse.py")
 inverse = importlib.util.module_from_spec(specification)

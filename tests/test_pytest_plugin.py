@@ -2,12 +2,12 @@
 
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.special  # noqa: F401
 
+from helpers import ROOT
 from phong_bsdf.pictures import images
 from phong_bsdf.report import render_check  # noqa: F401
 
@@ -17,7 +17,6 @@ pytestmark = pytest.mark.slow
 # All that the plugin imports is imported above: pytester forgets what is imported while it runs.
 pytest_plugins = ["pytester"]
 
-CHECKOUT = Path(__file__).parent.parent
 
 SCENE = """\
 <scene version="3.0.0">
@@ -48,11 +47,11 @@ def test_ball(render_check):
 def project(pytester, monkeypatch):
     """A folder outside of the checkout; the function runs pytest there, with warnings as errors, in this process or,
     much slower, as a child of its own."""
-    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     # The other plugins of this environment, and rewritten assertions, would cost more than the tests.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     pytester.path.joinpath("scene.xml").write_text(SCENE)
-    assert CHECKOUT not in pytester.path.parents
+    assert ROOT not in pytester.path.parents
 
     def run(*args, test=None, child=False):
         if test is not None:
@@ -398,15 +397,15 @@ def test_pytest_finds_the_plugin():
         pytest.skip("tomllib is part of Python 3.11")
     import tomllib
 
-    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     (name,) = project["project"]["entry-points"]["pytest11"].values()
     assert f"{name}.py" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
-    assert (CHECKOUT / f"{name}.py").is_file()
+    assert (ROOT / f"{name}.py").is_file()
 
 
 def blocks():
     """The Python examples of docs/test-authors.md."""
-    return re.findall(r"```python\n(.*?)```", (CHECKOUT / "docs/test-authors.md").read_text(), re.S)
+    return re.findall(r"```python\n(.*?)```", (ROOT / "docs/test-authors.md").read_text(), re.S)
 
 
 def test_documented_tests_work(project):

@@ -2,15 +2,14 @@
 
 import inspect
 import re
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import phong_bsdf  # noqa: F401
+from helpers import ROOT
 
-ROOT = Path(__file__).parent.parent
 SCENES = sorted(p for p in (ROOT / "scenes").rglob("*.xml") if p.name != "cameras.xml")
 
 

@@ -5,15 +5,14 @@ import importlib
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from helpers import ROOT
 from phong_bsdf.cli import main
 from phong_bsdf.host.registry import PLUGINS
 from phong_bsdf.importers import catalogue
 
-ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 
 

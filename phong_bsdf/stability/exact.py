@@ -1,7 +1,7 @@
 """What is true, in float64, by formulas other than those of `lobes.py`.
 
-`tests/test_stability.py` checks them against mpmath. Condition numbers are relative: the change of the value by that of
-its inputs.
+`tests/stability/test_stability.py` checks them against mpmath. Condition numbers are relative: the change of the value
+by that of its inputs.
 """
 
 import numpy as np

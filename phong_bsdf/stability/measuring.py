@@ -1,7 +1,7 @@
 """Numerical stability of the lobes: the worst error found at each exponent, beside the naive formulas.
 
 Errors are relative to float64 values at the same float32 inputs, by formulas other than
-those of `lobes.py` (`tests/test_stability.py` checks them against mpmath). The bars are on
+those of `lobes.py` (`tests/stability/test_stability.py` checks them against mpmath). The bars are on
 C = error / (u (1 + kappa)), u = 2^-24, with kappa the condition number of the quantity: the
 error that a rounding of the inputs alone would cause.
 """

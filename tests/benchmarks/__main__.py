@@ -14,6 +14,7 @@ import click
 import phong_bsdf  # noqa: F401  # isort: skip  (before mitsuba: it chooses the LLVM)
 import mitsuba as mi
 
+from helpers import ROOT
 from phong_bsdf.pictures.images import replace_file
 from phong_bsdf.report.tables import write_csv, write_json
 
@@ -23,7 +24,7 @@ from .measure import Plan, Record
 # Where the others are not in speed.md.
 PAGES = {"cluster": "clusters.md"}
 
-DOCS = Path(__file__).parent.parent.parent / "docs"
+DOCS = ROOT / "docs"
 
 
 @click.command()

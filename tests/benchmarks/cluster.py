@@ -12,6 +12,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from helpers import SCENES
 from phong_bsdf.cluster import passes, scaling
 from phong_bsdf.cluster.connection import address, connected
 from phong_bsdf.cluster.orders import Order, Orders
@@ -24,7 +25,7 @@ from phong_bsdf.scene import bundle
 
 from .measure import Plan, record
 
-SCENE = Path(__file__).parent.parent.parent / "scenes/compare/balls.xml"
+SCENE = SCENES / "compare/balls.xml"
 
 WORKERS = (1, 2, 4, 8, 16, 32, 64, 125, 250, 500, 1000)
 

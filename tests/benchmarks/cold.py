@@ -13,8 +13,8 @@ import tempfile
 from pathlib import Path
 
 import mitsuba as mi
-import peers
 
+from helpers import peers
 from phong_bsdf.tracing.needs import FEATURES
 
 from . import scenes

@@ -16,8 +16,8 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
-import peers
+
+from helpers import oracle, peers
 
 from . import scenes
 from .measure import Plan, compared, fresh_environment, fresh_process, interleaved, record, seconds

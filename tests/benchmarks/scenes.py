@@ -1,15 +1,10 @@
 """The scenes that are timed: each function returns one, loaded, with `whitted`, of `size` pixels square."""
 
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
-import oracle
-import peers
 
+from helpers import SCENES, oracle, peers
 from phong_bsdf.tracing.needs import ROBUST
-
-SCENES = Path(__file__).parent.parent.parent / "scenes"
 
 # `max_depth` where nothing else is said: the course's eight mirror bounces.
 DEPTH = 10
