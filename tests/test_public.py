@@ -8,9 +8,10 @@ import subprocess
 import sys
 
 import pytest
-from documents import PAGES, ROOT, blocks
 
 import phong_bsdf
+from helpers import ROOT
+from helpers.documents import PAGES, blocks
 
 PAGE = ROOT / "docs/python.md"
 PUBLIC = re.findall(r"^<!-- manual of (phong_bsdf\.[\w.]+) -->$", PAGE.read_text(), re.M)
