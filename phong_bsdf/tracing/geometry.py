@@ -2,9 +2,11 @@
 
 Mitsuba traces through Embree, which lets some rays slip between two triangles that share an edge, and
 rays through pixel centres meet edges exactly. A scene made with `embree_use_robust_intersections` has
-no such gaps; only of rays that are aimed at a vertex, one in some 250 000 still passes. A scene cannot be
-asked for that flag, nor be given it later. So rays are tried (`gaps.py`), and if one slips through, the
-shapes are put into another scene that has the flag.
+no such gaps between two triangles. A scene cannot be asked for that flag, nor be given it later. So rays are
+tried (`gaps.py`), and if one slips through, the shapes are put into another scene that has the flag.
+
+Of rays that are aimed at a vertex, where many triangles meet, one in some 250 000 passes all the same. So
+what meets nothing is traced again, at an angle too small to see, and shadow rays are turned by that angle.
 
 The groups of `instance` shapes are never traced so. Where they may hold meshes, each ray is
 traced three times, at angles too small to see: no edge lets all of them through.
@@ -29,30 +31,44 @@ class Geometry:
     def __init__(self, scene, tight=None):
         self.scene = (tight or Tight()).of(scene)
         self.in_groups = has_instances(scene) and _is_embree()
+        self.triangles = not self.in_groups and _is_embree() and any(map(has_triangles, scene.shapes()))
 
     def hit(self, ray, coherent, active):
         """The first surface on `ray`, a `mitsuba.SurfaceInteraction3f`; invalid where there is none."""
-        first = self._hit(ray, coherent, active)
-        for other in self._beside(ray):
-            si = self._hit(other, coherent, active)
+        if self.triangles:
+            return self._hit_of_triangles(ray, coherent, active)
+        first = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=coherent, active=active)
+        for other in self._beside(ray) if self.in_groups else []:
+            si = self.scene.ray_intersect(other, mi.RayFlags.All, coherent=coherent, active=active)
             # What is missed is at infinity.
             first = dr.select(si.t < NEARER * first.t, si, first)
         return first
 
+    def _hit_of_triangles(self, ray, coherent, active):
+        """As `hit`: what a ray misses because it passes a vertex, one beside it meets."""
+        found = self.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+        missed = active & (found.is_valid() == False)  # noqa: E712
+        beside = next(self._beside(ray))
+        if dr.is_jit_v(mi.Float):
+            found = dr.select(
+                missed, self.scene.ray_intersect_preliminary(beside, coherent=False, active=missed), found
+            )
+        elif missed:
+            found = self.scene.ray_intersect_preliminary(beside)
+        return found.compute_surface_interaction(ray, mi.RayFlags.All, active)
+
     def blocked(self, ray, active):
         """Whether anything is on `ray`."""
+        if self.triangles:
+            return self.scene.ray_test(next(self._beside(ray)), coherent=False, active=active)
         found = self.scene.ray_test(ray, coherent=False, active=active)
-        for other in self._beside(ray):
+        for other in self._beside(ray) if self.in_groups else []:
             found = found | self.scene.ray_test(other, coherent=False, active=active)
         return found
 
-    def _hit(self, ray, coherent, active):
-        return self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=coherent, active=active)
-
-    def _beside(self, ray):
+    @staticmethod
+    def _beside(ray):
         """Rays close to `ray`, to two sides of it, of which one at least leaves an edge that `ray` meets."""
-        if not self.in_groups:
-            return
         # Its direction is that of no edge in particular.
         across = dr.normalize(dr.cross(ray.d, mi.Vector3f(0.5377, 0.8339, -0.1258)))
         for aside in (across, dr.cross(ray.d, across)):
