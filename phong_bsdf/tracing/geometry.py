@@ -29,9 +29,10 @@ class Geometry:
     """The shapes of `scene`; `tight` is what is known from the last rendering."""
 
     def __init__(self, scene, tight=None):
-        self.scene = (tight or Tight()).of(scene)
         self.in_groups = has_instances(scene) and _is_embree()
-        self.triangles = not self.in_groups and _is_embree() and any(map(has_triangles, scene.shapes()))
+        triangles = _is_embree() and any(map(has_triangles, scene.shapes()))
+        self.triangles = triangles and not self.in_groups
+        self.scene = (tight or Tight()).of(scene) if triangles else scene
 
     def hit(self, ray, coherent, active):
         """The first surface on `ray`, a `mitsuba.SurfaceInteraction3f`; invalid where there is none."""
@@ -82,10 +83,8 @@ class Tight:
         self.key, self.kept, self.made, self.state = None, None, None, None
 
     def of(self, scene):
-        """`scene`, or one of the same shapes if rays slip between their triangles."""
+        """`scene`, which has triangles, or one of the same shapes if rays slip between them."""
         shapes = scene.shapes()
-        if not _is_embree() or not any(map(has_triangles, shapes)):
-            return scene
         # While the array of pointers is kept, no other has its number.
         pointers = scene.shapes_dr() if dr.is_jit_v(mi.Float) else shapes
         key = pointers.index if dr.is_jit_v(mi.Float) else [shape.ptr for shape in shapes]
